@@ -1,0 +1,105 @@
+"""`orogen fly`: a video along a flight."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from orogen.cli import console
+from orogen.cli.options import DataOptions, DrawingOptions, Flag, SceneOptions, Size, StyleOptions
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from orogen.shading.style import Style
+    from orogen.terrain import Terrain
+    from orogen.view.flight import Flight
+    from orogen.view.renderer import Scene
+
+
+def fly(
+    data: str,
+    /,
+    *,
+    flight: Annotated[str, Parameter(name=("--flight", "-f"))] = "orbit",
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    fps: float = 30.0,
+    duration: float | None = None,
+    size: Size = (1280, 720),
+    samples: int = 4,
+    overwrite: Flag = False,
+    json: Flag = False,
+    scene: SceneOptions | None = None,
+    style: StyleOptions | None = None,
+    drawing: DrawingOptions | None = None,
+    options: DataOptions | None = None,
+) -> None:
+    """Draw a video along a flight; every frame is complete before it is written.
+
+    Parameters
+    ----------
+    data
+        Raster: a path, URL or GDAL name, or "synthetic".
+    flight
+        Flight file (.json), or a built-in flight: orbit, descent.
+    output
+        Video to write: .mp4, .webm, or .mkv without loss.
+    fps
+        Frames per second.
+    duration
+        Seconds that the flight takes, in place of those that it says.
+    size
+        Width and height in pixels.
+    samples
+        Samples per pixel, which smooth edges.
+    overwrite
+        Replace a file that exists.
+    json
+        Write JSON about the video to stdout.
+    """
+    from orogen.cli.terrain import open_terrain, scene_of
+    from orogen.view.flight import Flight
+    from orogen.view.video import VideoWriter
+
+    way = Flight.load(flight)
+    if duration is not None:
+        way = way.lasting(duration)
+    video = VideoWriter(output, size, fps, overwrite)
+    look, before = (style or StyleOptions()).style(), scene_of(scene)
+    start = time.perf_counter()
+    with console.progress() as report, open_terrain(data, options, drawing, report) as terrain, video:
+        for part, color in frames(terrain, way, fps, size, look, before, samples):
+            video.write(color)
+            report(part, str(output))
+    result = {
+        "file": str(output),
+        "frames": video.frames,
+        "size": size,
+        "encoder": video.encoder.codec,
+        "seconds": time.perf_counter() - start,
+    }
+    console.show(result, json, [str(output)])
+
+
+def frames(
+    terrain: Terrain,
+    flight: Flight,
+    fps: float,
+    size: tuple[int, int],
+    style: Style,
+    scene: Scene,
+    samples: int,
+) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """(part done, picture) of every frame of a flight over a terrain."""
+    path = flight.over(terrain.grid, terrain.height_range, exaggeration=scene.exaggeration, height_at=terrain.height_at)
+    count = path.frame_count(fps)
+    for number, (t, camera) in enumerate(path.frames(fps), start=1):
+        sun = path.sun_at(t)
+        look = style if sun is None else replace(style, sun=sun)
+        yield number / count, terrain.render(camera, size, look, scene, samples=samples).color

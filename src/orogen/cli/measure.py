@@ -1,0 +1,246 @@
+"""What `orogen bench` measures.
+
+What counts from the start of a process is measured on processes of their own, with a cache of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from orogen.cli.console import Report
+from orogen.errors import OrogenError
+
+LARGE = "taiwan_20m_10481x19401_int16.tif"
+SIZE = (1920, 1080)
+MB = 1e6
+
+CAMERAS: dict[str, tuple[str, ...]] = {
+    "whole": (),
+    "near": ("--look-at", "13480000,2720000", "--distance", "4000", "--pitch", "-15"),
+    "down": ("--look-at", "13460000,2650000", "--distance", "30000", "--pitch", "-90"),
+    "low": ("--look-at", "13470000,2690000", "--distance", "1500", "--pitch", "-3", "--heading", "20"),
+}
+"""Views of the large raster under which time and memory are measured."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Something measured."""
+
+    group: str
+    """What it belongs to."""
+    name: str
+    """What was measured."""
+    value: float | None
+    """How much; None where it could not be measured."""
+    unit: str = ""
+    """Unit of value and target."""
+    target: float | None = None
+    """What it must not exceed; None: it only informs."""
+    note: str = ""
+    """Why there is no value, or what else is to be known."""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None without a target or a value."""
+        return None if self.target is None or self.value is None else self.value <= self.target
+
+
+def speed(folder: Path, report: Report) -> list[Figure]:
+    """Pictures of the large raster from the start of a process: coarse without a cache, complete with one."""
+    group, raster = "Taiwan 1920x1080", folder / LARGE
+    if not raster.exists():
+        return [Figure(group, "time and memory", None, note=f"no {LARGE}")]
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        report(0.0, group)
+        seconds, facts = _render(raster, place, "--coarse")
+        figures = [Figure(group, "coarse picture without a cache", seconds, "s", 5)]
+        run_python(["-c", BUILD, str(raster)], place)
+        pictures = [facts]
+        for number, (view, options) in enumerate(CAMERAS.items(), start=1):
+            report(number / (len(CAMERAS) + 1), group)
+            seconds, facts = _render(raster, place, *options)
+            figures.append(Figure(group, f"complete picture, {view}", seconds, "s", 5))
+            pictures.append(facts)
+        figures.append(_memory(group, "peak resident memory, worst view", [p["memory"] for p in pictures], 1000))
+        figures.append(_memory(group, "GPU allocations, worst view", [p["gpu_memory"] for p in pictures], 512))
+        report(1.0, group)
+    return figures
+
+
+def pyramid(folder: Path, report: Report) -> list[Figure]:
+    """Building the pyramid of the large raster, against GDAL's COG driver at its best settings."""
+    group, raster = "Pyramid of Taiwan", folder / LARGE
+    if not raster.exists():
+        return [Figure(group, "time and memory", None, note=f"no {LARGE}")]
+    report(0.0, group)
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        built = run_python(["-c", BUILD, str(raster)], place)
+        report(0.5, group)
+        cog = run_python(["-c", COG, str(raster), str(place / "cog.tif")], place)
+    report(1.0, group)
+    return [
+        Figure(group, "time to build", built["seconds"], "s", cog["seconds"]),
+        Figure(group, "GDAL's COG driver, ZSTD level 1, predictor, average, 2 threads", cog["seconds"], "s"),
+        _memory(group, "peak resident memory", [built["memory"]], 400),
+    ]
+
+
+def record(folder: Path, report: Report) -> list[Figure]:
+    """CPU time to record and submit a frame, while the camera moves over what is resident."""
+    from orogen.lod import algorithms
+    from orogen.terrain import open_terrain
+
+    group, frames = "Recording a frame", 30
+    figures = []
+    with open_terrain(_small(folder), build="wait") as terrain:
+        camera = terrain.camera()
+        for name in algorithms():
+            terrain.use(name)
+            times = []
+            for number in range(frames):
+                report(number / (frames - 1), f"{group}, {name}")
+                picture = terrain.render(camera.moved(heading=camera.heading + 0.1 * number), (640, 360), samples=1)
+                times.append(1000 * picture.record_time)
+            # the first ones make pipelines and fill caches
+            figures.append(Figure(group, f"{name}, median", statistics.median(times[5:]), "ms", 2))
+    return figures
+
+
+def accuracy(folder: Path, report: Report) -> list[Figure]:
+    """Every algorithm against rays over level 0, from twelve cameras."""
+    from orogen.compare.accuracy import measure, rows
+    from orogen.compare.cameras import standard_cameras
+    from orogen.compare.truth import TrueSurface
+    from orogen.lod import algorithms
+    from orogen.terrain import open_terrain
+
+    size = (960, 540)
+    pinned = {"view_distance": math.inf, "memory": 2 << 30, "host_memory": 1 << 30}
+    figures = []
+    for title, heights, spacing in _crops(folder):
+        surface = TrueSurface(heights)
+        views: dict[str, list[Any]] = {name: [] for name in algorithms() if name != "raycast"}
+        with (
+            open_terrain(heights, spacing=spacing, algorithm="raycast", settings=pinned, gpu_memory=None) as exact,
+            open_terrain(heights, spacing=spacing) as terrain,
+        ):
+            cameras = standard_cameras(exact.grid, surface)
+            done, total = 0, len(cameras) * (1 + len(views))
+            references = {}
+            for view, camera in cameras.items():
+                references[view] = exact.render(camera, size, samples=1)
+                done += 1
+                report(done / total, f"accuracy, {title}")
+            for name, measured in views.items():
+                settings = {"pixels_per_quad": 1.0} if name == "udlod" else {}
+                terrain.use(name, **settings)
+                for view, camera in cameras.items():
+                    true = references[view]
+                    drawn = terrain.render(camera, size, samples=1)
+                    measured.append(measure(view, drawn.reverse_depth, true.reverse_depth, true.frame, surface))
+                    done += 1
+                    report(done / total, f"accuracy, {title}")
+        for name, measured in views.items():
+            group = f"{name}, {title}"
+            figures += [Figure(group, row.name, row.value, row.unit, row.target) for row in rows(measured)]
+    return figures
+
+
+MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
+    "speed": speed,
+    "pyramid": pyramid,
+    "record": record,
+    "accuracy": accuracy,
+}
+"""What can be measured, by name."""
+
+BUILD = """
+import json, sys, time
+from orogen.cli.memory import peak_memory
+from orogen.source import open_height
+from orogen.pyramid.open import open_pyramid
+start = time.perf_counter()
+open_pyramid(open_height(sys.argv[1])).close()
+sys.stdout.write(json.dumps({"seconds": time.perf_counter() - start, "memory": peak_memory()}))
+"""
+COG = """
+import json, sys, time
+import rasterio
+from rasterio.shutil import copy
+start = time.perf_counter()
+with rasterio.Env(GDAL_CACHEMAX=256):
+    copy(
+        sys.argv[1], sys.argv[2], driver="COG", COMPRESS="ZSTD", LEVEL="1", PREDICTOR="YES",
+        OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="2", BIGTIFF="IF_SAFER",
+    )
+sys.stdout.write(json.dumps({"seconds": time.perf_counter() - start}))
+"""
+
+
+def _render(raster: Path, place: Path, *options: str) -> tuple[float, dict[str, Any]]:
+    """Seconds of a process that draws a picture, and what it tells of it."""
+    command = ["-m", "orogen", "render", str(raster), "-o", str(place / "picture.png"), "--overwrite"]
+    size = f"{SIZE[0]}x{SIZE[1]}"
+    start = time.perf_counter()
+    facts = run_python([*command, "--size", size, "--samples", "1", "--json", "--quiet", *options], place)
+    return time.perf_counter() - start, facts
+
+
+def run_python(arguments: Sequence[str], cache: Path) -> dict[str, Any]:
+    """Run Python with a cache folder of its own; gives the JSON that it writes. Raises OrogenError where it fails."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OROGEN_CACHE_DIR": str(cache)},
+        check=False,
+    )
+    if done.returncode:
+        raise OrogenError(f"{' '.join(arguments[:3])} ... ended with {done.returncode}: {done.stderr.strip()}")
+    return json.loads(done.stdout)
+
+
+def _memory(group: str, name: str, sizes: Sequence[int | None], target: float) -> Figure:
+    """The largest of sizes in bytes."""
+    known = [size / MB for size in sizes if size is not None]
+    if not known:
+        return Figure(group, name, None, "MB", target, "this system does not tell")
+    return Figure(group, name, max(known), "MB", target)
+
+
+def _small(folder: Path) -> Any:
+    """Data of moderate size, whatever there is."""
+    raster = folder / "bigtujunga_30m_utm.tif"
+    return str(raster) if raster.exists() else "synthetic"
+
+
+def _crops(folder: Path) -> list[tuple[str, Any, float]]:
+    """(name, heights, spacing in metres) of the data that accuracy is measured on."""
+    from orogen.source import open_height
+
+    crops = []
+    puget = folder / "puget_height_1k.png"
+    if puget.exists():
+        source = open_height(puget, spacing=160.0, height_scale=0.1)
+        crops.append(("Puget", source.read(slice(0, source.grid.height), slice(0, source.grid.width)), 160.0))
+        source.close()
+    taiwan = folder / LARGE
+    if taiwan.exists():
+        source = open_height(taiwan)
+        crops.append(("Taiwan crop", source.read(slice(8000, 10048), slice(4000, 6048)), source.grid.spacing))
+        source.close()
+    return crops

@@ -1,0 +1,241 @@
+"""One frame to be drawn: camera, size and grid turned into the numbers that shaders and metrics use.
+
+Camera-relative coordinates are metres east, north and up of the camera. The GPU never sees an absolute coordinate:
+horizontal positions are integers in subtexels (1 / 2**subtexel_bits of a level-0 texel) plus a fraction below one,
+heights are float32 metres from which the camera's height is subtracted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orogen.camera import Camera
+from orogen.errors import SettingsError
+from orogen.grid import EARTH_RADIUS, Grid
+
+REFERENCE_FOV = 45.0
+"""Vertical angle (degrees) of the perspective camera whose distances stand in for an orthographic one's."""
+
+
+def subtexel_bits(grid: Grid) -> int:
+    """Fixed-point bits below a level-0 texel: 8, fewer where the raster is so large that int32 would overflow."""
+    # the coarsest node may be up to eight times as wide as the raster
+    return max(1, min(8, 28 - max(grid.shape).bit_length()))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What an algorithm, a rasteriser and a shader need to know about the picture to draw."""
+
+    camera: Camera
+    """The camera that the picture is seen from."""
+    grid: Grid
+    """The grid of the heights: its texels are the working coordinates."""
+    size: tuple[int, int]
+    """Width and height of the picture in pixels."""
+    lod_camera: Camera | None = None
+    """The camera that levels of detail and culling are chosen for; None: the same as `camera`."""
+    ground_height: float = 0.0
+    """Approximate height of the terrain under the LOD camera in metres, before exaggeration (002, section 4.5.2)."""
+    height_range: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest valid height of the data in metres, before exaggeration."""
+    exaggeration: float = 1.0
+    """Factor on all heights."""
+    curvature: bool = False
+    """Lower the ground by d^2 / 2R with the distance d from the camera."""
+    jitter: tuple[float, float] = (0.0, 0.0)
+    """Offset of the sample within the pixel, in pixels (x right, y down), within -0.5 to 0.5."""
+    slice: int = 0
+    """Which part of the frame is asked for, where it is drawn in several (temporal coherence)."""
+    time_budget: float | None = field(default=None)
+    """Seconds that an algorithm may spend refining; None: as long as it needs."""
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if width < 1 or height < 1:
+            raise SettingsError(f"size: expected at least 1x1 pixels, got {width}x{height}")
+        if not (math.isfinite(self.exaggeration) and self.exaggeration > 0):
+            raise SettingsError(f"exaggeration: expected a number above 0, got {self.exaggeration:g}")
+
+    @property
+    def lod(self) -> Camera:
+        """The camera that decides on levels of detail."""
+        return self.lod_camera or self.camera
+
+    @cached_property
+    def subtexel_bits(self) -> int:
+        """Fixed-point bits below a level-0 texel of the heights."""
+        return subtexel_bits(self.grid)
+
+    @cached_property
+    def eye(self) -> NDArray[np.float64]:
+        """The camera's position (column, row) in level-0 texels."""
+        return np.array([float(v) for v in self.grid.to_texel(self.camera.x, self.camera.y)])
+
+    @cached_property
+    def anchor(self) -> NDArray[np.int32]:
+        """The camera's position in whole subtexels, kept within int32; what shaders subtract."""
+        limit = 2.0**29
+        return np.clip(np.floor(self.eye * (1 << self.subtexel_bits)), -limit, limit).astype(np.int32)
+
+    @cached_property
+    def eye_offset(self) -> NDArray[np.float64]:
+        """The camera's position minus the anchor, in subtexels: below 1 unless the camera is far outside."""
+        return self.eye * (1 << self.subtexel_bits) - self.anchor
+
+    @cached_property
+    def metres(self) -> NDArray[np.float64]:
+        """2 x 2 matrix from a step in subtexels to metres (east, north)."""
+        return self.grid.metres / (1 << self.subtexel_bits)
+
+    @property
+    def curvature_factor(self) -> float:
+        """1 / 2R with curvature, else 0: the drop of the ground is this times the squared distance."""
+        return 0.5 / EARTH_RADIUS if self.curvature else 0.0
+
+    @cached_property
+    def half_extent(self) -> tuple[float, float]:
+        """Half width and height of the picture: at view depth 1 (perspective) or in metres (orthographic)."""
+        camera = self.camera
+        half = camera.orthographic / 2 if camera.orthographic else math.tan(math.radians(camera.fov) / 2)
+        return half * self.size[0] / self.size[1], half
+
+    def pixels_per_radian(self, camera: Camera | None = None) -> float:
+        """v of equation 2.3 (document 000): pixels that a length of d metres covers at a distance of d metres."""
+        camera = camera or self.camera
+        fov = REFERENCE_FOV if camera.orthographic else camera.fov
+        return self.size[1] / (2 * math.tan(math.radians(fov) / 2))
+
+    def lod_eye(self) -> NDArray[np.float64]:
+        """Where distances for the level of detail start: metres (east, north, up) relative to `camera`.
+
+        For an orthographic camera this is the perspective camera that sees the point in the middle of the picture,
+        on the approximate ground, at the same scale.
+        """
+        lod = self.lod
+        dx, dy = (self._metric(lod) - self._metric(self.camera)).tolist()
+        eye = np.array([dx, dy, lod.z - self.camera.z])
+        if lod.orthographic is None:
+            return eye
+        forward = lod.basis[2]
+        above = lod.z - self.ground_height * self.exaggeration
+        reach = self._data_diagonal()
+        along = min(max(-above / forward[2], -reach), reach) if forward[2] < -1e-3 else 0.0
+        back = lod.orthographic / (2 * math.tan(math.radians(REFERENCE_FOV) / 2))
+        return eye + forward * (along - back)
+
+    def _metric(self, camera: Camera) -> NDArray[np.float64]:
+        return self.grid.metres @ np.array([float(v) for v in self.grid.to_texel(camera.x, camera.y)])
+
+    def _data_diagonal(self) -> float:
+        return float(np.abs(self.grid.metres @ np.diag([self.grid.width, self.grid.height])).sum())
+
+    @cached_property
+    def depth_range(self) -> tuple[float, float]:
+        """View depths of an orthographic camera's near and far plane: the whole data lies between them."""
+        w, h = self.grid.width, self.grid.height
+        low, high = (v * self.exaggeration for v in self.height_range)
+        flat = np.array([self.grid.metres @ np.array(c) for c in ((0, 0), (w, 0), (0, h), (w, h))])
+        flat -= self._metric(self.camera)
+        drop = self.curvature_factor * float((flat**2).sum(axis=1).max())
+        corners = [(e, n, z - self.camera.z) for e, n in flat for z in (low - drop, high)]
+        depths = np.array(corners) @ self.camera.basis[2]
+        margin = 1.0 + 0.01 * float(np.ptp(depths))
+        return float(depths.min()) - margin, float(depths.max()) + margin
+
+    @cached_property
+    def view_projection(self) -> NDArray[np.float64]:
+        """4 x 4 (rows first) from camera-relative metres to clip space: reverse z, infinite far, jitter applied."""
+        right, up, forward = self.camera.basis
+        half_x, half_y = self.half_extent
+        shift_x, shift_y = 2 * self.jitter[0] / self.size[0], -2 * self.jitter[1] / self.size[1]
+        m = np.zeros((4, 4))
+        m[0, :3], m[1, :3] = right / half_x, up / half_y
+        if self.camera.orthographic:
+            near, far = self.depth_range
+            m[2, :3], m[2, 3], m[3, 3] = -forward / (far - near), far / (far - near), 1.0
+        else:
+            m[2, 3], m[3, :3] = self.camera.near, forward
+        # a sample at +jitter sees what lay there: the picture moves the other way
+        m[0] -= shift_x * m[3]
+        m[1] -= shift_y * m[3]
+        return m
+
+    def view_depth(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Metres along the view axis of reverse-z depths; NaN where nothing was drawn (depth 0)."""
+        depth = np.asarray(depth, np.float64)
+        with np.errstate(divide="ignore"):
+            if self.camera.orthographic:
+                near, far = self.depth_range
+                metres = far - depth * (far - near)
+            else:
+                metres = self.camera.near / depth
+        return np.where(depth > 0, metres, np.nan)
+
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Camera-relative origins and directions of the pixels' rays, (height, width, 3) each.
+
+        The point at view depth d is origin + d * direction, so directions are not of unit length.
+        """
+        width, height = self.size
+        return self._rays(np.arange(width)[None, :], np.arange(height)[:, None])
+
+    def _rays(self, columns: NDArray[Any], rows: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        width, height = self.size
+        right, up, forward = self.camera.basis
+        half_x, half_y = self.half_extent
+        u = ((columns + 0.5 + self.jitter[0]) / width * 2 - 1) * half_x
+        v = (1 - (rows + 0.5 + self.jitter[1]) / height * 2) * half_y
+        plane = u[..., None] * right + v[..., None] * up
+        if self.camera.orthographic:
+            return plane, np.broadcast_to(forward, plane.shape)
+        return np.zeros_like(plane), plane + forward
+
+    def positions(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(height, width, 3): x, y in the data's CRS and height in metres (before exaggeration); sky is NaN."""
+        return self._positions(*self.rays(), depth)
+
+    def position(self, column: int, row: int, depth: float) -> tuple[float, float, float]:
+        """x, y in the data's CRS and height (m) of what lies at a reverse-z depth in a pixel."""
+        x, y, z = self._positions(*self._rays(np.array(column), np.array(row)), np.array(depth))
+        return float(x), float(y), float(z)
+
+    def _positions(
+        self, origin: NDArray[np.float64], direction: NDArray[np.float64], depth: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        point = origin + direction * self.view_depth(depth)[..., None]
+        texel = self.eye + point[..., :2] @ np.linalg.inv(self.grid.metres).T
+        x, y = self.grid.to_crs(texel[..., 0], texel[..., 1])
+        drop = self.curvature_factor * (point[..., :2] ** 2).sum(axis=-1)
+        z = (point[..., 2] + drop + self.camera.z) / self.exaggeration
+        return np.stack([x, y, z], axis=-1)
+
+    def planes(self, lod: bool = True) -> NDArray[np.float64]:
+        """(5, 4): planes (nx, ny, nz, d), positive inside, of the frustum in metres relative to `camera`.
+
+        Left, right, bottom, top, near of the LOD camera; an orthographic frustum has its near plane behind all data.
+        """
+        frame = (
+            Frame(
+                self.lod,
+                self.grid,
+                self.size,
+                height_range=self.height_range,
+                exaggeration=self.exaggeration,
+                curvature=self.curvature,
+            )
+            if lod and self.lod_camera
+            else self
+        )
+        m = frame.view_projection
+        # clip.z <= clip.w is the near plane under reverse z
+        planes = np.array([m[3] + m[0], m[3] - m[0], m[3] + m[1], m[3] - m[1], m[3] - m[2]])
+        shift = np.append(self._metric(frame.camera) - self._metric(self.camera), frame.camera.z - self.camera.z)
+        planes[:, 3] -= planes[:, :3] @ shift
+        return planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)

@@ -1,0 +1,35 @@
+"""Errors of the driver become the project's own."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+import wgpu
+
+from orogen.errors import GpuError
+
+
+class checked:
+    """Turn a wgpu error in the block into a `GpuError` that starts with the label."""
+
+    __slots__ = ("_kind", "_label")
+
+    def __init__(self, label: str, kind: type[GpuError] = GpuError) -> None:
+        self._label = label
+        self._kind = kind
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if isinstance(error, wgpu.GPUError):
+            raise self._kind(f"{self._label}: {explain(error)}") from error
+
+
+def explain(error: Exception) -> str:
+    """The part of a driver message that a reader needs."""
+    text = str(error)
+    if "Parent device is lost" in text:
+        return "the GPU device was lost (driver reset, memory exhausted or device removed); open it again"
+    lines = [line for line in text.splitlines() if line.strip() not in ("", "Validation Error", "Caused by:")]
+    return "\n".join(line.strip() for line in lines if not line.lstrip().startswith("In wgpu")) or text

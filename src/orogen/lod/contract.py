@@ -1,0 +1,115 @@
+"""What a terrain algorithm is: resident nodes and a frame in, draw lists out.
+
+An algorithm is a folder under `lod/` whose package defines one subclass of `Algorithm`. It decides on geometry only: it
+records GPU work that fills buffers, and returns the draws that turn them into surface (`raster` executes these). It
+never colours, and never sees the picture.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from orogen.frame import Frame
+from orogen.gpu import Buffer, FrameTimer
+from orogen.keys import NodeKey
+from orogen.streaming.clipmap import Clipmap, ClipmapView
+
+
+@dataclass(frozen=True)
+class Module:
+    """WGSL of an algorithm, with bind group 1 that it reads; group 0 is the clipmap's."""
+
+    path: Path
+    """File that defines the function which the kind of draw asks for."""
+    layout: Any = None
+    """Layout of bind group 1; None where the function reads nothing of its own."""
+    constants: Mapping[str, int | float | str] = field(default_factory=dict, hash=False)
+    """Constants beside the clipmap's."""
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Instances of a grid.
+
+    The module defines `fn lod_vertex(vertex: u32, instance: u32) -> LodVertex`, see lod_vertex.wgsl and patch.wgsl.
+    """
+
+    module: Module
+    """Vertex function."""
+    group: Any
+    """Bind group 1; None where the module has no layout."""
+    indirect: Buffer
+    """Arguments of an indirect draw: vertices per patch, patches, 0, 0."""
+    topology: str = "triangle-strip"
+    """WebGPU topology of a patch's vertices."""
+
+
+@dataclass(frozen=True)
+class Rays:
+    """One ray per pixel.
+
+    The module defines `fn lod_ray(ray: Ray, from_t: f32, to_t: f32) -> RayHit`, see ray_hit.wgsl and rays.wgsl.
+    """
+
+    module: Module
+    """Ray function."""
+    group: Any = None
+    """Bind group 1; None where the module has no layout."""
+
+
+Draw = Patches | Rays
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a frame took. Fields that do not apply to an algorithm are 0."""
+
+    triangles: int = 0
+    """Triangles that were drawn, degenerate ones included."""
+    patches: int = 0
+    """Patches that were drawn."""
+    draws: int = 0
+    """Draw calls and ray passes."""
+    rays: int = 0
+    """Rays that were cast."""
+
+
+class AlgorithmView(ABC):
+    """An algorithm at work for one view; its state outlives a frame."""
+
+    def wants(self, frame: Frame) -> Sequence[NodeKey]:
+        """Nodes that the algorithm needs beside those that the clipmap loads for the frame."""
+        return ()
+
+    @abstractmethod
+    def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
+        """Record the frame's GPU work and say what is to be drawn. `view` has been updated for the frame."""
+
+    @abstractmethod
+    def statistics(self) -> Statistics:
+        """Of the latest frame submitted; waits for the GPU."""
+
+    def incomplete(self) -> bool:
+        """Whether the latest frame lacks something for want of room; asking makes room, so that a repeat is whole."""
+        return False
+
+
+class Algorithm(ABC):
+    """A way of showing terrain."""
+
+    name: ClassVar[str]
+    """The name of its folder."""
+    Settings: ClassVar[type]
+    """Frozen dataclass of its settings, with a docstring under every field; its defaults are good ones."""
+
+    def __init__(self, clipmap: Clipmap, settings: Any) -> None:
+        self.clipmap = clipmap
+        self.settings = settings
+
+    @abstractmethod
+    def view(self) -> AlgorithmView:
+        """State for one more view."""

@@ -1,0 +1,109 @@
+#include udlod.wgsl
+// Tile refinement (Kuehnert 2022, algorithm 1, figures 5.1 to 5.3): one dispatch a level, over a list that is used from
+// both ends in turn, parents on one side and children on the other.
+
+struct State {
+    parents: u32,
+    children: atomic<u32>,
+    finals: atomic<u32>,
+    backwards: u32,          // 1: the parents are at the end of the list
+    overflow: atomic<u32>,   // how many tiles could not be divided for want of room
+    tiles: atomic<u32>,      // final ones and those still to be looked at: never more than the capacity
+}
+
+@group(1) @binding(1) var<storage, read_write> state: State;
+@group(1) @binding(2) var<storage, read_write> temporary_tiles: array<Tile>;
+@group(1) @binding(3) var<storage, read_write> final_tiles: array<Tile>;
+
+// The list has room for twice the capacity: for the parents and for their children.
+fn list_index(i: u32, backwards: bool) -> u32 {
+    return select(i, 2u * udlod.tile_capacity - 1u - i, backwards);
+}
+
+// Make one tile four, if there is room.
+fn reserve() -> bool {
+    if (atomicAdd(&state.tiles, 3u) + 3u <= udlod.tile_capacity) { return true; }
+    atomicSub(&state.tiles, 3u);
+    atomicAdd(&state.overflow, 1u);
+    return false;
+}
+
+fn nearest_on_edge(p: vec2<f32>, a: vec2<f32>, b: vec2<f32>) -> f32 {
+    let along = b - a;
+    let way = clamp(dot(p - a, along) / max(dot(along, along), 1e-30), 0.0, 1.0);
+    return lod_distance(a + way * along);
+}
+
+// Distance of the LOD eye to the nearest point of a rectangle of subtexels, which need not be one in metres.
+fn nearest_distance(low: vec2<i32>, high: vec2<i32>) -> f32 {
+    let l = vec2<f32>(low - frame.anchor) - frame.eye_offset;
+    let h = vec2<f32>(high - frame.anchor) - frame.eye_offset;
+    let eye = to_subtexels(frame.lod_eye.xy);
+    if (all(eye >= l) && all(eye <= h)) { return lod_distance(frame.lod_eye.xy); }
+    let a = to_metres(l);
+    let b = to_metres(vec2<f32>(h.x, l.y));
+    let c = to_metres(h);
+    let d = to_metres(vec2<f32>(l.x, h.y));
+    let p = frame.lod_eye.xy;
+    return min(min(nearest_on_edge(p, a, b), nearest_on_edge(p, b, c)),
+               min(nearest_on_edge(p, c, d), nearest_on_edge(p, d, a)));
+}
+
+fn should_be_divided(tile: Tile, low: vec2<i32>, high: vec2<i32>) -> bool {
+    if (tile.level == 0u) { return false; }
+    // a little early: where rounding makes a vertex on the border of an undivided tile nearer than the tile, it still
+    // has to be fully morphed
+    return nearest_distance(low, high) < range_end(tile.level - 1u) * 1.00001;
+}
+
+// Whether the box of everything drawn over the tile lies outside one of the frustum's planes.
+fn frustum_cull(low: vec2<i32>, high: vec2<i32>) -> bool {
+    let side = u32(max(high.x - low.x, high.y - low.y));
+    let node_level = u32(max(0, i32(32u - countLeadingZeros(side)) - i32(frame.subtexel_bits + NODE_BITS)));
+    let bounds = bounds_over(low, high, node_level);
+    let a = to_metres(vec2<f32>(low - frame.anchor) - frame.eye_offset);
+    let b = to_metres(vec2<f32>(high - frame.anchor) - frame.eye_offset);
+    let c = to_metres(vec2<f32>(f32(low.x - frame.anchor.x), f32(high.y - frame.anchor.y)) - frame.eye_offset);
+    let d = a + b - c;
+    let far = max(max(dot(a, a), dot(b, b)), max(dot(c, c), dot(d, d)));
+    let bottom = (bounds.x - frame.eye_height) * frame.exaggeration - frame.curvature * far;
+    let top = (bounds.y - frame.eye_height) * frame.exaggeration;
+    // rounding of positions far from the anchor must not cull what touches a plane
+    let slack = 1e-6 * (sqrt(far) + abs(bottom) + abs(top));
+    for (var i = 0u; i < 5u; i += 1u) {
+        let plane = frame.planes[i];
+        let flat = max(max(dot(plane.xy, a), dot(plane.xy, b)), max(dot(plane.xy, c), dot(plane.xy, d)));
+        if (flat + max(plane.z * bottom, plane.z * top) + plane.w < -slack) { return true; }
+    }
+    return false;
+}
+
+fn is_visible(tile: Tile, low: vec2<i32>, high: vec2<i32>) -> bool {
+    if (any(low >= frame.extent.zw)) { return false; }
+    // before the first data has come there is nothing to draw
+    if (clipmap.layers[HEIGHTS].present == 0u) { return false; }
+    return !frustum_cull(low, high);
+}
+
+@compute @workgroup_size(64)
+fn refine_tiles(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= state.parents) { return; }
+    let backwards = state.backwards == 1u;
+    let tile = temporary_tiles[list_index(id.x, backwards)];
+    let low = tile_corner(tile);
+    let high = min(low + quad_size(tile.level) * i32(udlod.grid_size), frame.extent.zw);
+    if (!is_visible(tile, low, high)) {
+        atomicSub(&state.tiles, 1u);
+        return;
+    }
+    // without room a tile stays coarse, which is better than a hole, until the list has grown
+    if (should_be_divided(tile, low, high) && reserve()) {
+        let first = atomicAdd(&state.children, 4u);
+        for (var i = 0u; i < 4u; i += 1u) {
+            let child = Tile(2u * tile.x + (i & 1u), 2u * tile.y + (i >> 1u), tile.level - 1u);
+            temporary_tiles[list_index(first + i, !backwards)] = child;
+        }
+    } else {
+        final_tiles[atomicAdd(&state.finals, 1u)] = tile;
+    }
+}

@@ -1,0 +1,40 @@
+#include udlod.wgsl
+#include lod_vertex.wgsl
+
+@group(1) @binding(1) var<storage, read> tiles: array<Tile>;
+
+// Position in the grid of a tile's vertex: columns as triangle strips, joined by repeated vertices (equation 4.4).
+fn grid_position(vertex: u32) -> vec2<u32> {
+    let vertices_per_row = 2u * (udlod.grid_size + 2u);
+    let row = clamp(vertex % vertices_per_row, 1u, vertices_per_row - 2u) - 1u;
+    return vec2<u32>(vertex / vertices_per_row + (row & 1u), row >> 1u);
+}
+
+// 0 where the level's own grid stands, 1 where it has become that of the next level (figure 5.5).
+fn morph_ratio(p: Point, level: u32) -> f32 {
+    if (level == udlod.root_level) { return 0.0; }
+    let way = lod_distance(flat_position(p)) / range_end(level);
+    return clamp(1.0 - (1.0 - way) / udlod.morph_range, 0.0, 1.0);
+}
+
+fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
+    let tile = tiles[instance];
+    let grid = grid_position(vertex);
+    let quad = quad_size(tile.level);
+    let whole = Point(tile_corner(tile) + vec2<i32>(grid) * quad, vec2<f32>(0.0));
+    let morph = morph_ratio(clamp_to_extent(whole), tile.level);
+    // equation 4.6 with `grid & 1`, as in figure 5.5: odd vertices move to the even one before them
+    let odd = vec2<i32>(grid & vec2<u32>(1u));
+    var p = whole;
+    if (morph >= 1.0) {
+        // in integers: these vertices coincide with the neighbour's to the bit
+        p.cell -= odd * quad;
+    } else if (morph > 0.0) {
+        let shift = morph * f32(quad) * vec2<f32>(odd);
+        let steps = ceil(shift);
+        p = Point(whole.cell - vec2<i32>(steps), steps - shift);
+    }
+    p = clamp_to_extent(p);
+    let id = (tile.level << 26u) ^ (tile.y << 13u) ^ tile.x;
+    return LodVertex(p, height_at(p), vec2<f32>(grid), id, resident_level(p, u32(lod_at(p))), tile.level);
+}

@@ -1,0 +1,104 @@
+"""Executes draw lists: patches through the hardware pipeline, rays in a compute pass; both into the surface buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from orogen.gpu import FrameTimer
+from orogen.lod.contract import Draw, Module, Patches, Rays
+from orogen.raster.surface import FORMATS, READ_LAYOUT, WRITE_LAYOUT, Surface
+from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+
+FOLDER = Path(__file__).parent
+
+_TILE = 8
+
+
+class Rasterizer:
+    """The pipelines of a terrain, made when a module is first drawn."""
+
+    def __init__(self, clipmap: Clipmap) -> None:
+        self._clipmap = clipmap
+        gpu = clipmap.gpu
+        self.read_layout = gpu.layout("surface", READ_LAYOUT)
+        """Layout of `Surface.read_group`."""
+        self._write_layout = gpu.layout("surface targets", WRITE_LAYOUT)
+        self._empty_layout = gpu.layout("nothing", {})
+        self._empty_group = gpu.bind("nothing", self._empty_layout, {})
+        self._pipelines: dict[tuple[Any, ...], Any] = {}
+
+    def surface(self, size: tuple[int, int]) -> Surface:
+        """A surface buffer of (width, height) pixels."""
+        return Surface(self._clipmap.gpu, size, self.read_layout, self._write_layout)
+
+    def record(
+        self, encoder: Any, timer: FrameTimer, draws: Sequence[Draw], view: ClipmapView, surface: Surface
+    ) -> None:
+        """Clear the surface and draw into it; the nearest surface wins, whatever drew it."""
+        clear = {"load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
+        run = timer.render_pass(
+            encoder,
+            "raster",
+            color_attachments=[{"view": texture.view(), **clear} for texture in surface.targets.values()],
+            depth_stencil_attachment={
+                "view": surface.z.view(), "depth_load_op": "clear", "depth_store_op": "discard",
+                "depth_clear_value": 0.0,
+            },
+        )  # fmt: skip
+        run.set_bind_group(0, view.bind_group)
+        for draw in draws:
+            if isinstance(draw, Patches):
+                run.set_pipeline(self._patch_pipeline(draw))
+                run.set_bind_group(1, draw.group or self._empty_group)
+                run.draw_indirect(draw.indirect.raw, 0)
+        run.end()
+        for draw in draws:
+            if isinstance(draw, Rays):
+                self._cast(encoder, timer, draw, view, surface)
+
+    def _cast(self, encoder: Any, timer: FrameTimer, draw: Rays, view: ClipmapView, surface: Surface) -> None:
+        width, height = surface.size
+        run = timer.compute_pass(encoder, "rays")
+        run.set_pipeline(self._ray_pipeline(draw))
+        run.set_bind_group(0, view.bind_group)
+        run.set_bind_group(1, draw.group or self._empty_group)
+        run.set_bind_group(2, surface.write_group)
+        run.dispatch_workgroups(-(-width // _TILE), -(-height // _TILE))
+        run.end()
+
+    def _shader(self, module: Module, main: Path) -> Any:
+        return self._clipmap.gpu.shader(
+            f"{module.path.parent.name} {main.stem}",
+            module.path,
+            main,
+            search=[FOLDER, *SEARCH],
+            constants={**self._clipmap.constants, **module.constants},
+        )
+
+    def _patch_pipeline(self, draw: Patches) -> Any:
+        key = (draw.module.path, tuple(draw.module.constants.items()), draw.topology)
+        if key not in self._pipelines:
+            self._pipelines[key] = self._clipmap.gpu.render(
+                f"{draw.module.path.parent.name} patches",
+                self._shader(draw.module, FOLDER / "patch.wgsl"),
+                "corner",
+                "surface",
+                [{"format": form} for form in FORMATS.values()],
+                [self._clipmap.layout, draw.module.layout or self._empty_layout],
+                primitive={"topology": draw.topology},
+                depth_stencil={"format": "depth32float", "depth_write_enabled": True, "depth_compare": "greater"},
+            )
+        return self._pipelines[key]
+
+    def _ray_pipeline(self, draw: Rays) -> Any:
+        key = (draw.module.path, tuple(draw.module.constants.items()), "rays")
+        if key not in self._pipelines:
+            self._pipelines[key] = self._clipmap.gpu.compute(
+                f"{draw.module.path.parent.name} rays",
+                self._shader(draw.module, FOLDER / "rays.wgsl"),
+                "cast_rays",
+                [self._clipmap.layout, draw.module.layout or self._empty_layout, self._write_layout],
+            )
+        return self._pipelines[key]

@@ -1,0 +1,73 @@
+"""What a source of heights or colours offers to the rooms below."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orogen.grid import Grid
+
+Kind = Literal["height", "colour"]
+
+
+class Source(Protocol):
+    """A raster of heights or colours, read by window. Safe to use from several threads at once."""
+
+    @property
+    def kind(self) -> Kind:
+        """Whether `read` gives heights or colours."""
+
+    @property
+    def grid(self) -> Grid:
+        """Where the raster lies. A colour source's transform is in the CRS of the heights that it is draped over."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it: a path, "array" or "synthetic"."""
+
+    @property
+    def dtype(self) -> str:
+        """The type of the samples as stored, such as 'int16'."""
+
+    @property
+    def nodata(self) -> float | None:
+        """The stored value that stands for nodata (before scale and offset), or None."""
+
+    @property
+    def units(self) -> str:
+        """The vertical unit as stored, such as 'metre' or 'foot'; `read` gives metres whatever it is."""
+
+    @property
+    def vertical_crs(self) -> str | None:
+        """Name of the vertical reference of a compound CRS, or None."""
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """(rows, columns) of the window that is cheapest to read."""
+
+    @property
+    def direct(self) -> bool:
+        """Whether small windows anywhere are cheap to read; if not, the pyramid stores level 0 too."""
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Changes with every change of the samples that `read` gives; None where that cannot be known."""
+
+    @property
+    def covered(self) -> bool:
+        """True where every sample is certainly valid."""
+
+    def read(self, rows: slice, cols: slice) -> NDArray[np.float32] | NDArray[np.uint8]:
+        """The samples of a window that lies inside the raster.
+
+        Heights: float32 metres (rows, columns), NaN = nodata. Colours: uint8 (rows, columns, 4), sRGB red, green,
+        blue and straight alpha, alpha 0 = nodata. Raises SourceError where the data cannot be read.
+        """
+
+    def overview(self, shape: tuple[int, int]) -> NDArray[np.float32] | NDArray[np.uint8]:
+        """The whole raster at about `shape` (rows, columns), quickly: an estimate, of the same types as `read`."""
+
+    def close(self) -> None:
+        """Release open files. Reading afterwards opens them again."""

@@ -1,0 +1,182 @@
+"""The node atlas: texture arrays that hold the resident nodes, shared by all views (Kuehnert 2022, section 4.5.1)."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orogen.errors import BudgetError
+from orogen.gpu import Gpu, Texture
+from orogen.keys import NodeKey
+from orogen.streaming.settings import COLOR_BORDER, COLOR_MIPS, HEIGHT_BORDER
+from orogen.streaming.tiles import ColorNode, HeightNode
+
+FOLDER = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A kind of data in a node."""
+
+    name: str
+    """Such as "height"."""
+    format: str
+    """WebGPU texture format."""
+    size: tuple[int, int]
+    """Columns and rows per node, border included."""
+    mips: int = 1
+    """Mip levels."""
+    computed: bool = False
+    """Filled on the GPU rather than uploaded."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes per node."""
+        texel = {"r32float": 4, "r8unorm": 1, "rgba8unorm-srgb": 4}[self.format]
+        return sum(texel * (self.size[0] >> mip) * (self.size[1] >> mip) for mip in range(self.mips))
+
+
+def height_attachments(node_size: int, covered: bool) -> tuple[Attachment, ...]:
+    """Attachments of the height layer."""
+    side = node_size + 2 * HEIGHT_BORDER
+    bits = node_size.bit_length() - 1
+    coverage = () if covered else (Attachment("coverage", "r8unorm", (side, side)),)
+    # the layout of maxima_layout.wgsl
+    maxima = (node_size // 2 + 1 + node_size // 4 + 1, node_size // 2 + bits - 2)
+    return (
+        Attachment("height", "r32float", (side, side)),
+        *coverage,
+        Attachment("maxima", "r32float", maxima, computed=True),
+    )
+
+
+def color_attachments(node_size: int) -> tuple[Attachment, ...]:
+    """Attachments of the colour layer."""
+    side = node_size + 2 * COLOR_BORDER
+    return (Attachment("color", "rgba8unorm-srgb", (side, side), COLOR_MIPS),)
+
+
+class NodeAtlas:
+    """A fixed number of slots, each with all attachments of a node; the least recently wanted node makes room."""
+
+    def __init__(
+        self, gpu: Gpu, label: str, attachments: tuple[Attachment, ...], node_count: int, memory: int, keep: int
+    ) -> None:
+        """`node_count`: nodes of the whole pyramid; `memory`: bytes at most; `keep`: slots that must fit at least."""
+        self._gpu = gpu
+        self.attachments = attachments
+        per_node = sum(a.nbytes for a in attachments)
+        layers = gpu.limits["max-texture-array-layers"]
+        self.capacity = min(node_count, memory // per_node, layers)
+        if self.capacity < min(keep, node_count):
+            raise BudgetError(
+                f"{label} atlas: expected room for at least {min(keep, node_count)} nodes of {per_node} bytes, got "
+                f"{memory} bytes; raise memory= or choose a smaller node_size="
+            )
+        self.textures: Mapping[str, Texture] = {
+            a.name: gpu.texture(
+                f"{label} {a.name}", a.size, a.format,
+                "TEXTURE_BINDING|STORAGE_BINDING" if a.computed else "TEXTURE_BINDING|COPY_DST",
+                f"atlas {a.name}", mips=a.mips, layers=self.capacity,
+            )
+            for a in attachments
+        }  # fmt: skip
+        self._slots: OrderedDict[NodeKey, int] = OrderedDict()
+        self._free = list(range(self.capacity))[::-1]
+        self.upload_bytes = sum(a.nbytes for a in attachments if not a.computed)
+        """Bytes of a node that come from the host."""
+
+    @property
+    def resident(self) -> Mapping[NodeKey, int]:
+        """Slot of every node that is loaded."""
+        return self._slots
+
+    def touch(self, keys: Collection[NodeKey]) -> None:
+        """Mark nodes as wanted now."""
+        for key in keys:
+            if key in self._slots:
+                self._slots.move_to_end(key)
+
+    def place(self, key: NodeKey, wanted: Collection[NodeKey]) -> int | None:
+        """A slot for a node: its own, a free one, or that of the least recently wanted node that is not wanted now.
+
+        None if every slot is wanted.
+        """
+        if key in self._slots:
+            return self._slots[key]
+        if not self._free:
+            victim = next((k for k in self._slots if k not in wanted), None)
+            if victim is None:
+                return None
+            self._free.append(self._slots.pop(victim))
+        slot = self._free.pop()
+        self._slots[key] = slot
+        return slot
+
+    def upload(self, slot: int, node: HeightNode | ColorNode) -> None:
+        """Copy a node's texels into a slot."""
+        if isinstance(node, ColorNode):
+            for mip, texels in enumerate(node.mips):
+                self._gpu.write_texture(self.textures["color"], texels, layer=slot, mip=mip)
+            return
+        self._gpu.write_texture(self.textures["height"], node.heights, layer=slot)
+        if node.coverage is not None:
+            self._gpu.write_texture(self.textures["coverage"], node.coverage, layer=slot)
+
+    def destroy(self) -> None:
+        """Give the memory back."""
+        for texture in self.textures.values():
+            texture.destroy()
+
+
+class MaximaBuilder:
+    """Makes the maximum pyramids of freshly uploaded height nodes on the GPU."""
+
+    def __init__(self, gpu: Gpu, atlas: NodeAtlas, node_bits: int) -> None:
+        self._gpu = gpu
+        self._bits = node_bits
+        self._slots = gpu.buffer("new slots", 4 * atlas.capacity, "STORAGE|COPY_DST", "clipmap")
+        layout = gpu.layout(
+            "maxima",
+            {
+                0: ("COMPUTE", "read"),
+                1: ("COMPUTE", "texture unfilterable 2d-array"),
+                2: ("COMPUTE", "image r32float readwrite 2d-array"),
+            },
+        )
+        array = {"dimension": "2d-array"}
+        self._group = gpu.bind(
+            "maxima", layout,
+            {0: self._slots, 1: atlas.textures["height"].view(**array), 2: atlas.textures["maxima"].view(**array)},
+        )  # fmt: skip
+        self._pipelines = [
+            gpu.compute(
+                f"maxima {level}",
+                gpu.shader(
+                    f"maxima {level}", FOLDER / "maxima.wgsl",
+                    constants={"LEVEL": level, "NODE_BITS": node_bits, "HEIGHT_BORDER": HEIGHT_BORDER},
+                ),
+                "build",
+                [layout],
+            )
+            for level in range(1, node_bits + 1)
+        ]  # fmt: skip
+
+    def build(self, slots: list[int]) -> None:
+        """Make the pyramids of some slots."""
+        if not slots:
+            return
+        self._gpu.write(self._slots, np.asarray(slots, np.uint32))
+        encoder = self._gpu.encoder("maxima")
+        run = encoder.begin_compute_pass(label="maxima")
+        run.set_bind_group(0, self._group)
+        for level, pipeline in enumerate(self._pipelines, start=1):
+            groups = -(-((1 << self._bits >> level) + 1) // 8)
+            run.set_pipeline(pipeline)
+            run.dispatch_workgroups(groups, groups, len(slots))
+        run.end()
+        self._gpu.submit(encoder)

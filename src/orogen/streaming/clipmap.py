@@ -1,0 +1,375 @@
+"""The chunked clipmap (Kuehnert 2022, section 4.5): node atlases shared by all views, a clipped quadtree per view."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import orogen
+from orogen.errors import OrogenError
+from orogen.frame import Frame, subtexel_bits
+from orogen.gpu import Buffer, Gpu, Texture
+from orogen.grid import Grid
+from orogen.keys import NodeKey
+from orogen.pyramid.contract import Pyramid
+from orogen.streaming import blocks
+from orogen.streaming.layer import Layer
+from orogen.streaming.requests import LayerGrid, wanted
+from orogen.streaming.settings import COLOR_BORDER, HEIGHT_BORDER, MAX_ANISOTROPY, ClipmapSettings
+
+SEARCH = (Path(orogen.__file__).parent, Path(__file__).parent)
+"""Folders of the WGSL that reads a frame and the clipmap."""
+
+_STAGES = "VERTEX|FRAGMENT|COMPUTE"
+_NO_SLOT = 0xFFFF
+
+
+class Clipmap:
+    """The resident terrain, shared by all views of it."""
+
+    def __init__(
+        self, gpu: Gpu, heights: Pyramid, colors: Pyramid | None = None, settings: ClipmapSettings | None = None
+    ) -> None:
+        """`colors`: an image over the same terrain, in its CRS. Raises BudgetError where the memory is too little."""
+        self.gpu = gpu
+        self.settings = settings or ClipmapSettings()
+        s = self.settings
+        self.layers: list[Layer] = []
+        pyramids = [heights] if colors is None else [heights, colors]
+        try:
+            for pyramid in pyramids:
+                self.layers.append(Layer(gpu, pyramid, s, s.memory // len(pyramids), s.host_memory // len(pyramids)))
+        except BaseException:
+            for layer in self.layers:
+                layer.close()
+            raise
+        self.heights = self.layers[0]
+        self.colors = self.layers[1] if colors is not None else None
+        self.constants = {
+            "NODE_BITS": s.node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, "COLOR_BORDER": COLOR_BORDER,
+            "MAX_ANISOTROPY": MAX_ANISOTROPY,
+        }  # fmt: skip
+        """Constants of clipmap.wgsl."""
+        self._views: list[ClipmapView] = []
+        array = "texture {} 2d-array"
+        self.layout = gpu.layout(
+            "clipmap",
+            {
+                0: (_STAGES, "uniform"),
+                1: (_STAGES, "uniform"),
+                2: (_STAGES, "read"),
+                3: (_STAGES, "read"),
+                4: (_STAGES, "read"),
+                5: (_STAGES, array.format("unfilterable")),
+                6: (_STAGES, array.format("float")),
+                7: (_STAGES, array.format("unfilterable")),
+                8: (_STAGES, array.format("float")),
+                9: (_STAGES, "sampler filtering"),
+            },
+        )
+        """Layout of bind group 0, which every shader that includes frame.wgsl or clipmap.wgsl uses."""
+        self.slot_buffer = gpu.buffer("slots", self.heights.slots.nbytes, "STORAGE|COPY_DST", "clipmap")
+        self.sampler = gpu.sampler("colour", mag_filter="linear", min_filter="linear", mipmap_filter="linear")
+        self._slots_version = -1
+        # stands for the attachments that this terrain does not have
+        self._nothing = gpu.texture("no attachment", (1, 1), "r8unorm", "TEXTURE_BINDING", "clipmap")
+
+    @property
+    def grid(self) -> Grid:
+        """Grid of the heights."""
+        return self.heights.pyramid.grid
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest valid height (m); until the pyramid is built an estimate that covers all nodes seen."""
+        return self.heights.height_range
+
+    def view(self) -> ClipmapView:
+        """A new view of the terrain."""
+        view = ClipmapView(self)
+        self._views.append(view)
+        return view
+
+    def drop(self, view: ClipmapView) -> None:
+        """Forget a view and give its memory back."""
+        self._views.remove(view)
+        view.close()
+
+    def attachment(self, name: str) -> Any:
+        """View of an attachment's texture array, of a single texel where the terrain has none such."""
+        texture: Texture = self._nothing
+        for layer in self.layers:
+            texture = layer.atlas.textures.get(name, texture)
+        return texture.view(dimension="2d-array")
+
+    def pump(self) -> int:
+        """Hand the views' wishes to the loaders, and upload what is loaded within the frame's budget.
+
+        Returns the number of bytes uploaded.
+        """
+        for index, layer in enumerate(self.layers):
+            wishes = [view.wishes[index] for view in self._views]
+            layer.want(wishes[0] if len(wishes) == 1 else _merged(wishes))
+        budget = self.settings.upload_budget
+        done = 0
+        for layer in self.layers:
+            if done == 0 or done + layer.atlas.upload_bytes <= budget:
+                done += layer.pump(budget - done)
+        if self._slots_version != self.heights.version:
+            self._slots_version = self.heights.version
+            self.gpu.write(self.slot_buffer, self.heights.slots)
+        return done
+
+    @property
+    def pending(self) -> int:
+        """Wanted nodes that are still to come."""
+        return sum(layer.pending for layer in self.layers)
+
+    def settle(self) -> None:
+        """Load until every wanted node that can be read and fits is resident."""
+        while True:
+            uploaded = self.pump()
+            if uploaded:
+                # staging memory is given back when the GPU is done with it
+                self.gpu.wait()
+            elif not self.pending:
+                return
+            else:
+                for layer in self.layers:
+                    if layer.pending:
+                        layer.wait(1.0)
+                        break
+
+    def height_under(self, x: float, y: float) -> float:
+        """Height (m) of the terrain at CRS coordinates, of the nearest sample inside; for choosing levels of detail."""
+        layer = self.heights
+        pyramid = layer.pyramid
+        tx, ty = (float(v) for v in self.grid.to_texel(x, y))
+        for level in filter(layer.tiles.readable, range(pyramid.level_count)):
+            rows, cols = -(-self.grid.height >> level), -(-self.grid.width >> level)
+            row = int(np.clip(math.floor(np.clip(ty, 0, 2**40)) >> level, 0, rows - 1))
+            col = int(np.clip(math.floor(np.clip(tx, 0, 2**40)) >> level, 0, cols - 1))
+            try:
+                value = float(layer.tiles.window(level, slice(row, row + 1), slice(col, col + 1))[0, 0])
+            except OrogenError:
+                # the loader reports what cannot be read; here a coarser level will do
+                continue
+            if math.isfinite(value):
+                return value
+        return sum(self.height_range) / 2
+
+    def close(self) -> None:
+        """Stop loading and give the memory back."""
+        for layer in self.layers:
+            layer.close()
+        for view in list(self._views):
+            self.drop(view)
+        self.slot_buffer.destroy()
+        self._nothing.destroy()
+
+
+def _merged(wishes: list[list[NodeKey]]) -> list[NodeKey]:
+    """One list of several views' wishes: coarse first, the views in turn."""
+    ranked: dict[NodeKey, tuple[int, int]] = {}
+    for keys in wishes:
+        rank: dict[int, int] = {}
+        for key in keys:
+            rank[key.level] = rank.get(key.level, 0) + 1
+            order = (-key.level, rank[key.level])
+            ranked[key] = min(order, ranked.get(key, order))
+    return sorted(ranked, key=lambda key: (ranked[key], key))
+
+
+class ClipmapView:
+    """A view's clipped quadtree: for every position the best resident node, by toroidal addressing."""
+
+    def __init__(self, clipmap: Clipmap) -> None:
+        """Use `Clipmap.view`."""
+        self.clipmap = clipmap
+        self.wishes: list[list[NodeKey]] = [[] for _ in clipmap.layers]
+        """Nodes that the view wants, per layer, the most important first."""
+        gpu = clipmap.gpu
+        self._frame_buffer = gpu.buffer("frame", blocks.FRAME.itemsize, "UNIFORM|COPY_DST", "clipmap")
+        self._block_buffer = gpu.buffer("clipmap", blocks.CLIPMAP.itemsize, "UNIFORM|COPY_DST", "clipmap")
+        self._bits: list[int] = []
+        self._starts: list[int] = []
+        self._table: Buffer | None = None
+        self._bounds: Buffer | None = None
+        self._written_tables: Any = None
+        self._written_block: Any = None
+        self.bind_group: Any = None
+        """Bind group 0 of every shader that reads the frame and the clipmap."""
+
+    def frame_for(self, frame: Frame) -> Frame:
+        """The frame with what only the clipmap knows: the ground under the camera and the range of heights."""
+        lod = frame.lod
+        return replace(
+            frame,
+            ground_height=self.clipmap.height_under(lod.x, lod.y),
+            height_range=self.clipmap.height_range,
+        )
+
+    def want(self, frame: Frame) -> None:
+        """Work out which nodes the frame wants; `Clipmap.pump` loads them."""
+        settings = self.clipmap.settings
+        load = min(settings.load_distance_for(frame.size), 1e15)
+        low, high = self.clipmap.height_range
+
+        def everywhere(_: int, rows: NDArray, __: NDArray) -> tuple[NDArray, NDArray]:
+            return np.full(rows.shape, low), np.full(rows.shape, high)
+
+        self.wishes = [
+            wanted(frame, layer.grid, layer.bounds if layer.is_height else everywhere, load, settings.behind)
+            for layer in self.clipmap.layers
+        ]
+
+    def update(self, frame: Frame) -> None:
+        """Write the frame's numbers and, where camera or residency changed, the quadtrees."""
+        settings, layers = self.clipmap.settings, self.clipmap.layers
+        view = settings.view_distance_for(frame.size)
+        load = min(settings.load_distance_for(frame.size), 1e6)
+        self._size_tables([_table_bits(layer.grid, load) for layer in layers])
+        origins = [
+            _origins(layer.grid, bits, _lod_texel(frame, layer.grid.grid))
+            for layer, bits in zip(layers, self._bits, strict=True)
+        ]
+        tables = (origins, [(layer.version, layer.pyramid.built) for layer in layers])
+        if tables != self._written_tables:
+            self._write_tables(origins)
+            self._written_tables = tables
+        block = (origins, view, frame.anchor.tolist(), [layer.present for layer in layers])
+        if block != self._written_block:
+            self._write_block(frame, origins, view)
+            self._written_block = block
+        self.clipmap.gpu.write(self._frame_buffer, blocks.frame_block(frame))
+
+    def close(self) -> None:
+        """Use `Clipmap.drop`."""
+        for buffer in (self._frame_buffer, self._block_buffer, self._table, self._bounds):
+            if buffer is not None:
+                buffer.destroy()
+
+    def _size_tables(self, bits: list[int]) -> None:
+        if bits == self._bits:
+            return
+        gpu, clipmap = self.clipmap.gpu, self.clipmap
+        self._bits = bits
+        self._starts = [0]
+        for layer, b in zip(clipmap.layers, bits, strict=True):
+            self._starts.append(self._starts[-1] + (layer.grid.level_count << 2 * b))
+        self._table = gpu.buffer("quadtree", 4 * self._starts[-1], "STORAGE|COPY_DST", "clipmap")
+        self._bounds = gpu.buffer("quadtree bounds", 8 * self._starts[1], "STORAGE|COPY_DST", "clipmap")
+        self._written_tables = self._written_block = None
+        self.bind_group = gpu.bind(
+            "clipmap",
+            clipmap.layout,
+            {
+                0: self._frame_buffer,
+                1: self._block_buffer,
+                2: self._table,
+                3: self._bounds,
+                4: clipmap.slot_buffer,
+                5: clipmap.attachment("height"),
+                6: clipmap.attachment("coverage"),
+                7: clipmap.attachment("maxima"),
+                8: clipmap.attachment("color"),
+                9: clipmap.sampler,
+            },
+        )
+
+    def _write_tables(self, origins: list[list[tuple[int, int]]]) -> None:
+        clipmap = self.clipmap
+        assert self._table is not None
+        assert self._bounds is not None
+        for i, layer in enumerate(clipmap.layers):
+            table, bounds = build_tables(layer, self._bits[i], origins[i])
+            clipmap.gpu.write(self._table, table, 4 * self._starts[i])
+            if layer.is_height:
+                clipmap.gpu.write(self._bounds, bounds)
+
+    def _write_block(self, frame: Frame, origins: list[list[tuple[int, int]]], view: float) -> None:
+        block = np.zeros((), blocks.CLIPMAP)
+        for i, layer in enumerate(self.clipmap.layers):
+            row, grid = block["layers"][i], layer.grid.grid
+            bits = subtexel_bits(grid)
+            row["level_count"], row["table_bits"] = layer.grid.level_count, self._bits[i]
+            row["table_start"], row["present"], row["covered"] = self._starts[i], layer.present, layer.covered
+            row["reach"] = min(view * layer.grid.node_size * grid.spacing, 1e30)
+            row["blend_range"], row["subtexel_bits"] = self.clipmap.settings.blend_range, bits
+            whole = (0, 0, grid.width << bits, grid.height << bits)
+            row["extent"] = blocks.extent(grid, bits) if layer.is_height else whole
+            row["origins"][: layer.grid.level_count, :2] = np.array(origins[i])[:, ::-1]
+        if self.clipmap.colors:
+            colors = self.clipmap.colors.grid.grid
+            block["color_matrix"], block["color_anchor"], block["color_offset"] = blocks.color_mapping(
+                frame, colors, subtexel_bits(colors)
+            )
+        self.clipmap.gpu.write(self._block_buffer, block)
+
+
+def build_tables(
+    layer: Layer, bits: int, origins: list[tuple[int, int]]
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """The clipped quadtree of a layer: per level 2^bits x 2^bits entries by wrapped node row and column.
+
+    First `slot | level << 16` of the best current node that covers the entry, then, for heights, the lowest and highest
+    height (m) drawn there.
+    """
+    side, mask = 1 << bits, (1 << bits) - 1
+    count = layer.grid.level_count
+    nothing = _NO_SLOT | (count - 1) << 16
+    table = np.empty((count, side, side), np.uint32)
+    bounds = np.zeros((count if layer.is_height else 0, side, side, 2), np.float32)
+    by_level: dict[int, list[tuple[int, int, int]]] = {}
+    for key, slot in layer.current.items():
+        by_level.setdefault(key.level, []).append((key.y, key.x, slot))
+    above = np.full((side, side), nothing, np.uint32)
+    for level in range(count - 1, -1, -1):
+        y0, x0 = origins[level]
+        rows, cols = y0 + np.arange(side), x0 + np.arange(side)
+        entries = above
+        if level + 1 < count:
+            # a window lies within that of the next coarser level; entries past the data may be anything
+            up_y, up_x = origins[level + 1]
+            entries = above[np.clip((rows >> 1) - up_y, 0, mask)[:, None], np.clip((cols >> 1) - up_x, 0, mask)]
+        if level in by_level:
+            y, x, slots = np.array(by_level[level]).T
+            inside = (y >= y0) & (y < y0 + side) & (x >= x0) & (x < x0 + side)
+            entries[y[inside] - y0, x[inside] - x0] = slots[inside] | level << 16
+        wrapped = np.ix_(rows & mask, cols & mask)
+        table[level][wrapped] = entries
+        if layer.is_height:
+            low, high = layer.bounds(level, *np.meshgrid(rows, cols, indexing="ij"))
+            # what is drawn comes from resident texels, whose fill and border may leave the range of the samples below
+            drawn = layer.slots[np.minimum(entries & 0xFFFF, len(layer.slots) - 1)]
+            bounds[level][wrapped] = np.stack(
+                [np.minimum(low, drawn[..., 0]), np.maximum(high, drawn[..., 1])], axis=-1
+            )
+        above = entries
+    return table, bounds
+
+
+def _table_bits(layer: LayerGrid, load_distance: float) -> int:
+    """Logarithm of the window's side: node_count >= 2 load_distance + 1, and room for whole groups of four."""
+    return math.ceil(math.log2(min(max(layer.nodes(0)), 2 * load_distance * layer.stretch + 8)))
+
+
+def _origins(layer: LayerGrid, bits: int, centre: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """First node (row, column) of each level's window around a centre in texels (column, row), kept over the data."""
+    side = 1 << bits
+    origins = []
+    for level in range(layer.level_count):
+        x, y = np.rint(np.clip(centre / (layer.node_size << level), -1e9, 1e9)).astype(int).tolist()
+        rows, cols = layer.nodes(level)
+        origins.append((max(0, min(y - side // 2, rows - side)), max(0, min(x - side // 2, cols - side))))
+    return origins
+
+
+def _lod_texel(frame: Frame, grid: Grid) -> NDArray[np.float64]:
+    eye = np.array([float(v) for v in grid.to_texel(frame.camera.x, frame.camera.y)])
+    return eye + np.linalg.inv(grid.metres) @ frame.lod_eye()[:2]

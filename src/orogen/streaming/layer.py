@@ -1,0 +1,189 @@
+"""One layer of the clipmap: a pyramid, its loader and its atlas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orogen.gpu import Gpu
+from orogen.keys import NODE_SIZE as CHUNK
+from orogen.keys import NodeKey
+from orogen.pyramid.contract import Pyramid
+from orogen.streaming.atlas import MaximaBuilder, NodeAtlas, color_attachments, height_attachments
+from orogen.streaming.loader import Loader
+from orogen.streaming.requests import LayerGrid
+from orogen.streaming.settings import ClipmapSettings
+from orogen.streaming.tiles import ColorNode, DecodedTiles, HeightNode, color_node, height_node
+
+_AHEAD = 64
+"""Loaded nodes, at most, that wait to be uploaded."""
+
+
+class Layer:
+    """Resident nodes of one pyramid."""
+
+    def __init__(self, gpu: Gpu, pyramid: Pyramid, settings: ClipmapSettings, memory: int, host_memory: int) -> None:
+        """`memory`, `host_memory`: this layer's share in bytes. Raises BudgetError where that is too little."""
+        self.pyramid = pyramid
+        self.grid = LayerGrid(pyramid.grid, pyramid.level_count, settings.node_size)
+        self.is_height = pyramid.kind == "height"
+        self.covered = pyramid.covered
+        """Whether every texel is valid, so that no coverage is kept."""
+        attachments = (
+            height_attachments(settings.node_size, self.covered)
+            if self.is_height
+            else color_attachments(settings.node_size)
+        )
+        self.atlas = NodeAtlas(gpu, pyramid.kind, attachments, self.grid.node_count, memory, pyramid.level_count + 1)
+        self.maxima = MaximaBuilder(gpu, self.atlas, settings.node_bits) if self.is_height else None
+        self.slots = np.zeros((self.atlas.capacity, 4), np.float32)
+        """Per slot: lowest and highest texel, bound on the error (m), level."""
+        self.version = 0
+        """Counts changes of `current` and of what is in its slots."""
+        self._estimates: set[NodeKey] = set()
+        self._wanted: frozenset[NodeKey] = frozenset()
+        self._seen = (np.inf, -np.inf)
+        self._ranges: list[NDArray[np.float32]] = []
+        # a quarter for loaded nodes, the rest for the tiles that they are made of
+        ahead = max(1, min(_AHEAD, host_memory // 4 // self.atlas.upload_bytes))
+        self.tiles = DecodedTiles(pyramid, max(0, host_memory - ahead * self.atlas.upload_bytes))
+        self._loader: Loader[NodeKey, tuple[HeightNode | ColorNode, bool]] = Loader(
+            self._load, threads=settings.threads, ahead=ahead
+        )
+
+    def _load(self, key: NodeKey) -> tuple[HeightNode | ColorNode, bool]:
+        exact = self.pyramid.available(key.level)
+        size = self.grid.node_size
+        if self.is_height:
+            return height_node(self.tiles, self.pyramid, key, size, self.covered), exact
+        return color_node(self.tiles, self.pyramid, key, size), exact
+
+    def want(self, keys: Sequence[NodeKey]) -> None:
+        """Ask for nodes, the most important first; what does not fit the atlas is left out."""
+        readable = [self.tiles.readable(level) for level in range(self.pyramid.level_count)]
+        keys = [key for key in keys if readable[key.level]][: self.atlas.capacity]
+        named = frozenset(keys)
+        if named != self._wanted:
+            self._wanted = named
+            self.version += 1
+        self.atlas.touch(keys)
+        resident = self.atlas.resident
+        self._loader.want(
+            [
+                key
+                for key in keys
+                if key not in resident or (key in self._estimates and self.pyramid.available(key.level))
+            ]
+        )
+
+    def pump(self, budget: int) -> int:
+        """Upload loaded nodes of at most `budget` bytes (one at least); returns the bytes uploaded."""
+        size = self.atlas.upload_bytes
+        fresh: list[int] = []
+        while not fresh or (len(fresh) + 1) * size <= budget:
+            taken = self._loader.take(1)
+            if not taken:
+                break
+            key, (node, exact) = taken[0]
+            slot = self.atlas.place(key, self._wanted)
+            # no more nodes are wanted than there are slots
+            assert slot is not None
+            self.atlas.upload(slot, node)
+            fresh.append(slot)
+            if exact:
+                self._estimates.discard(key)
+            else:
+                self._estimates.add(key)
+            if isinstance(node, HeightNode):
+                self.slots[slot] = node.low, node.high, self._error(key), key.level
+                self._seen = min(self._seen[0], node.low), max(self._seen[1], node.high)
+        if fresh:
+            self.version += 1
+            if self.maxima:
+                self.maxima.build(fresh)
+        return len(fresh) * size
+
+    @property
+    def current(self) -> dict[NodeKey, int]:
+        """Slot of every wanted node that is resident.
+
+        What merely lies in the atlas still is not: a picture depends on the camera and not on the way there.
+        """
+        return {key: slot for key, slot in self.atlas.resident.items() if key in self._wanted}
+
+    @property
+    def present(self) -> bool:
+        """Whether there is something to draw everywhere: the coarsest node, unless it cannot be read."""
+        top = NodeKey(self.pyramid.level_count - 1, 0, 0)
+        return top in self.atlas.resident or top in self._loader.failed
+
+    @property
+    def pending(self) -> int:
+        """Wanted nodes that are not resident yet and have not failed."""
+        return self._loader.pending
+
+    @property
+    def failed(self) -> Mapping[NodeKey, BaseException]:
+        """Wanted nodes that could not be read, and why."""
+        return self._loader.failed
+
+    @property
+    def estimates(self) -> int:
+        """Resident nodes whose texels are estimates until the pyramid is built."""
+        return len(self._estimates & set(self.atlas.resident))
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Block until a node is loaded or nothing is left to load."""
+        self._loader.wait(timeout)
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest valid height (m); until the pyramid is built an estimate that covers all nodes seen."""
+        low, high = self.pyramid.height_range
+        if self.pyramid.built:
+            return low, high
+        return min(low, self._seen[0]), max(high, self._seen[1])
+
+    def bounds(self, level: int, rows: NDArray, cols: NDArray) -> tuple[NDArray, NDArray]:
+        """Lowest and highest height (m) that nodes of heights may draw: of their samples and of those around them."""
+        if not self._ranges and self.pyramid.built:
+            everywhere = self.pyramid.height_range
+            self._ranges = [self._widened(level, everywhere) for level in range(self.pyramid.level_count)]
+        if not self._ranges:
+            low, high = self.height_range
+            return np.full(rows.shape, low), np.full(rows.shape, high)
+        table = self._ranges[level]
+        found = table[np.clip(rows, 0, table.shape[0] - 1), np.clip(cols, 0, table.shape[1] - 1)]
+        return found[..., 0], found[..., 1]
+
+    def _widened(self, level: int, everywhere: tuple[float, float]) -> NDArray[np.float32]:
+        """(node rows, node columns, 2) of a level: range of the chunks of a node and of those that touch it."""
+        chunks = self.pyramid.node_bounds(level)
+        assert chunks is not None, "a built pyramid of heights has bounds"
+        scale = self.grid.node_size // CHUNK
+        nodes = self.grid.nodes(level)
+        low = np.full(nodes, np.inf, np.float32)
+        high = -low
+        for dy in range(-1, scale + 1):
+            for dx in range(-1, scale + 1):
+                steps = zip(nodes, (dy, dx), chunks.shape, strict=False)
+                at = (np.clip(np.arange(count) * scale + step, 0, last - 1) for count, step, last in steps)
+                part = chunks[np.ix_(*at)]
+                low, high = np.fmin(low, part[..., 0]), np.fmax(high, part[..., 1])
+        void = low > high
+        return np.stack([np.where(void, everywhere[0], low), np.where(void, everywhere[1], high)], axis=-1)
+
+    def _error(self, key: NodeKey) -> float:
+        table = self.pyramid.node_bounds(key.level)
+        if table is None:
+            return 0.0
+        scale = self.grid.node_size // CHUNK
+        part = table[key.y * scale : (key.y + 1) * scale, key.x * scale : (key.x + 1) * scale, 2]
+        return float(np.nanmax(part)) if np.isfinite(part).any() else 0.0
+
+    def close(self) -> None:
+        """Stop loading and give the memory back."""
+        self._loader.close()
+        self.atlas.destroy()

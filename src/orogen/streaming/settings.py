@@ -1,0 +1,76 @@
+"""Settings of the chunked clipmap and its streaming."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from orogen.errors import SettingsError
+
+HEIGHT_BORDER = 2
+"""Border of a node's heights in texels (border_size): one for interpolation, two for normals (Kuehnert 2022, 6.2)."""
+COLOR_BORDER = 8
+"""Border of a node's colours in texels: more than half of MAX_ANISOTROPY, and one texel still in the last mip level."""
+COLOR_MIPS = 4
+"""Mip levels stored with a node's colours (mip_count)."""
+MAX_ANISOTROPY = 8
+"""Greatest ratio of a colour footprint's sides that is filtered without blur: samples taken at most."""
+
+
+@dataclass(frozen=True)
+class ClipmapSettings:
+    """The chunked clipmap (Kuehnert 2022, section 4.5 and appendix)."""
+
+    view_distance: float | None = None
+    """Radius around the camera within which level 0 is used, in leaf nodes; level L is used to 2^L times that. None:
+    the longer side of the picture over the node size, which gives about one texel a pixel (section 6.2). Infinite:
+    level 0 everywhere."""
+    load_distance: float | None = None
+    """Radius within which the nodes of level 0 are loaded, in leaf nodes, at least view_distance. None: the same. More
+    than that loads ahead of a moving camera."""
+    behind: float = 0.25
+    """Factor on load_distance for nodes outside the picture, 0 to 1: they only cast shadows, or come into view soon."""
+    blend_range: float = 0.2
+    """Share of a level's range in which it is blended into the next coarser one, above 0 and at most 1."""
+    node_size: int = 256
+    """Texels along a node's side without its border (center_size): 256, 512 or 1024."""
+    memory: int = 224 << 20
+    """Bytes of GPU memory for the node atlas. A full atlas lowers detail."""
+    host_memory: int = 64 << 20
+    """Bytes of host memory for decoded tiles and for nodes that wait to be uploaded."""
+    upload_budget: int = 32 << 20
+    """Bytes that are uploaded to the GPU per frame at most; a single node always may be."""
+    threads: int = 2
+    """Threads that read and decode."""
+
+    def __post_init__(self) -> None:
+        if self.view_distance is not None and not self.view_distance > 0:
+            raise SettingsError(f"view_distance: expected more than 0 leaf nodes, got {self.view_distance}")
+        if self.load_distance is not None and not self.load_distance >= (self.view_distance or 0):
+            raise SettingsError(
+                f"load_distance: expected at least view_distance ({self.view_distance}), got {self.load_distance}"
+            )
+        if not 0 <= self.behind <= 1:
+            raise SettingsError(f"behind: expected 0 to 1, got {self.behind}")
+        if not 0 < self.blend_range <= 1:
+            raise SettingsError(f"blend_range: expected above 0 and at most 1, got {self.blend_range}")
+        if self.node_size not in (256, 512, 1024):
+            raise SettingsError(f"node_size: expected 256, 512 or 1024 texels, got {self.node_size}")
+        for name in ("memory", "host_memory", "upload_budget"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1 << 20:
+                raise SettingsError(f"{name}: expected a whole number of bytes, at least 1048576 (1 MiB), got {value}")
+        if not isinstance(self.threads, int) or self.threads < 1:
+            raise SettingsError(f"threads: expected a whole number, at least 1, got {self.threads}")
+
+    @property
+    def node_bits(self) -> int:
+        """Logarithm of node_size."""
+        return self.node_size.bit_length() - 1
+
+    def view_distance_for(self, size: tuple[int, int]) -> float:
+        """view_distance for a picture of (width, height) pixels."""
+        return self.view_distance if self.view_distance is not None else max(size) / self.node_size
+
+    def load_distance_for(self, size: tuple[int, int]) -> float:
+        """load_distance for a picture of (width, height) pixels."""
+        return max(self.load_distance or 0.0, self.view_distance_for(size))

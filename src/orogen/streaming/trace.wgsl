@@ -1,0 +1,258 @@
+#include clipmap.wgsl
+#include maxima_layout.wgsl
+// Rays against the resident height field: hierarchical traversal of maximum pyramids (Dick et al. 2009; Houska 2019,
+// section 2.3.7) and exact intersection with the bilinear surface between sample centres.
+//
+// Watertight by construction: cells are stepped by integer index, only the axis that is crossed first moves, the other
+// stays inside the block; and a ray that enters a cell on the other side of its surface has hit it at the entry, be it
+// for rounding or because the neighbouring node is of another level.
+
+struct Hit {
+    found: bool,
+    t: f32,              // along the ray, in units of its direction
+    level: u32,          // of the node that was hit
+    node: vec2<i32>,
+    way: vec2<f32>,      // position in the cell that was hit, 0 to 1
+}
+
+const UNKNOWN = 0;
+const ABOVE = 1;
+const BELOW = 2;
+const STEPS = 1 << 17;   // more than cells on any path: ends rays that rounding has made endless
+
+// Height of a ray over the eye, in metres of the data: x + t y + t^2 z (the last from the earth's curvature).
+fn ray_height(ray: Ray) -> vec3<f32> {
+    let o = ray.origin;
+    let d = ray.direction;
+    return vec3<f32>(
+        o.z + frame.curvature * dot(o.xy, o.xy),
+        d.z + 2.0 * frame.curvature * dot(o.xy, d.xy),
+        frame.curvature * dot(d.xy, d.xy)) / frame.exaggeration;
+}
+
+fn height_on(z: vec3<f32>, t: f32) -> f32 { return z.x + t * (z.y + t * z.z); }
+
+// Lowest height of the ray between two parameters: the parabola is convex.
+fn lowest_on(z: vec3<f32>, a: f32, b: f32) -> f32 {
+    var low = min(height_on(z, a), height_on(z, b));
+    if (z.z > 0.0) {
+        let bottom = -0.5 * z.y / z.z;
+        if (bottom > a && bottom < b) { low = height_on(z, bottom); }
+    }
+    return low;
+}
+
+// The level whose node around the cell the traversal uses: a node is split while its nearest point is in reach of finer
+// data, so that all rays agree.
+fn traversal_level(cell: vec2<i32>) -> u32 {
+    let shift = frame.subtexel_bits + NODE_BITS;
+    let eye = to_subtexels(frame.lod_eye.xy) + frame.eye_offset;
+    let reach = 0.5 * clipmap.layers[HEIGHTS].reach;
+    var level = u32(distance_level(HEIGHTS, lod_distance(to_metres(vec2<f32>(cell - frame.anchor) - frame.eye_offset))));
+    loop {
+        if (level == 0u) { break; }
+        let low = (cell >> vec2<u32>(shift + level)) << vec2<u32>(shift + level);
+        let corner = vec2<f32>(low - frame.anchor);
+        let nearest = clamp(eye, corner, corner + f32(1u << (shift + level)));
+        if (lod_distance(to_metres(nearest - frame.eye_offset)) >= reach * f32(1u << level)) { break; }
+        level -= 1u;
+    }
+    return level;
+}
+
+// Part of the ray over the drawn area, x > y if none.
+fn over_extent(o: vec2<f32>, d: vec2<f32>, from_t: f32, to_t: f32) -> vec2<f32> {
+    var span = vec2<f32>(from_t, to_t);
+    for (var axis = 0u; axis < 2u; axis += 1u) {
+        let low = f32(frame.extent[axis] - frame.anchor[axis]) - o[axis];
+        let high = f32(frame.extent[axis + 2u] - frame.anchor[axis]) - o[axis];
+        if (d[axis] == 0.0) {
+            if (low > 0.0 || high < 0.0) { return vec2<f32>(1.0, 0.0); }
+        } else {
+            let a = low / d[axis];
+            let b = high / d[axis];
+            span = vec2<f32>(max(span.x, min(a, b)), min(span.y, max(a, b)));
+        }
+    }
+    return span;
+}
+
+// Part of the ray that is not above the highest sample, x > y if none.
+fn under_ceiling(z: vec3<f32>, span: vec2<f32>) -> vec2<f32> {
+    let ceiling = frame.height_max - frame.eye_height;
+    // raised by more than the rounding of a ray's height
+    let c = z.x - ceiling - 2e-6 * (abs(z.x) + abs(ceiling));
+    if (z.z > 1e-30) {
+        let root = z.y * z.y - 4.0 * z.z * c;
+        if (root < 0.0) { return vec2<f32>(1.0, 0.0); }
+        let q = -0.5 * (z.y + select(-1.0, 1.0, z.y >= 0.0) * sqrt(root));
+        if (q == 0.0) { return span; }
+        let a = q / z.z;
+        let b = c / q;
+        return vec2<f32>(max(span.x, min(a, b)), min(span.y, max(a, b)));
+    }
+    if (z.y < 0.0) { return vec2<f32>(max(span.x, -c / z.y), span.y); }
+    if (z.y > 0.0) { return vec2<f32>(span.x, min(span.y, -c / z.y)); }
+    return select(span, vec2<f32>(1.0, 0.0), c > 0.0);
+}
+
+// First point between `from_t` and `to_t` where the ray meets the surface from above, or from below where
+// `from_below` is set and the ray has come under it (through missing data, or from the edge).
+fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
+    var miss: Hit;
+    if (clipmap.layers[HEIGHTS].present == 0u) { return miss; }
+    let o = to_subtexels(ray.origin.xy) + frame.eye_offset;
+    let d = to_subtexels(ray.direction.xy);
+    let z = ray_height(ray);
+    let over = over_extent(o, d, from_t, to_t);
+    let span = under_ceiling(z, over);
+    if (!(over.x <= over.y) || !(span.x <= span.y)) { return miss; }
+
+    let forwards = d >= vec2<f32>(0.0);
+    var t = span.x;
+    var cell = clamp(frame.anchor + vec2<i32>(floor(o + t * d)), frame.extent.xy, frame.extent.zw - 1);
+    var side = select(UNKNOWN, ABOVE, span.x > over.x);
+    var steps = 0;
+    loop {
+        // one node
+        let level = traversal_level(cell);
+        let node = lookup(HEIGHTS, cell, level);
+        let bounds = slot_bounds[node.slot];
+        let node_shift = vec2<u32>(frame.subtexel_bits + NODE_BITS + node.asked);
+        let node_low = max((cell >> node_shift) << node_shift, frame.extent.xy);
+        let node_high = min(((cell >> node_shift) + 1) << node_shift, frame.extent.zw);
+        let node_way = (vec2<f32>(select(node_low, node_high, forwards) - frame.anchor) - o) / d;
+        let node_exits = select(vec2<f32>(1e30), node_way, d != vec2<f32>(0.0));
+        let node_end = clamp(min(node_exits.x, node_exits.y), t, span.y);
+
+        let above = side != BELOW && lowest_on(z, t, node_end) > bounds.high - frame.eye_height;
+        let under = side == BELOW && max(height_on(z, t), height_on(z, node_end)) < bounds.low - frame.eye_height;
+        if (node.slot == NO_SLOT || above) {
+            side = ABOVE;
+        } else if (!under) {
+            let shift = frame.subtexel_bits + node.level;
+            let half = 1i << (shift - 1u);
+            let first = (node.cell << vec2<u32>(NODE_BITS));
+            var c = ((cell + half) >> vec2<u32>(shift)) - first;
+            let scale = inverse_power(shift);
+            var k = select(5u, 0u, side == BELOW);
+            loop {
+                steps += 1;
+                if (steps > STEPS) { return miss; }
+                let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
+                let high = low + (1i << k);
+                let border = ((first + select(low, high, forwards)) << vec2<u32>(shift)) - half - frame.anchor;
+                let exits = select(vec2<f32>(1e30), (vec2<f32>(border) - o) / d, d != vec2<f32>(0.0));
+                let leaving = min(exits.x, exits.y);
+                let end = clamp(leaving, t, node_end);
+
+                if (k > 0u) {
+                    let highest = textureLoad(maxima_atlas, maxima_texel(k, low >> vec2<u32>(k)), i32(node.slot), 0).x;
+                    if (lowest_on(z, t, end) <= highest - frame.eye_height) {
+                        k -= 1u;
+                        continue;
+                    }
+                    side = ABOVE;
+                } else {
+                    // the cell between samples c - 1 and c
+                    let h00 = height_texel(node.slot, c - 1);
+                    let h10 = height_texel(node.slot, c + vec2<i32>(0, -1));
+                    let h01 = height_texel(node.slot, c + vec2<i32>(-1, 0));
+                    let h11 = height_texel(node.slot, c);
+                    let corner = ((first + c) << vec2<u32>(shift)) - half - frame.anchor;
+                    let way = clamp((o + t * d - vec2<f32>(corner)) * scale, vec2<f32>(0.0), vec2<f32>(1.0));
+                    let step = d * scale;
+                    let across = h10 - h00;
+                    let along = h01 - h00;
+                    let twist = h11 - h10 - along;
+                    // height over the surface as a polynomial of the way from t
+                    let f0 = height_on(z, t) - ((h00 - frame.eye_height) + across * way.x + along * way.y + twist * way.x * way.y);
+                    let f1 = z.y + 2.0 * z.z * t - (across * step.x + along * step.y + twist * (way.x * step.y + way.y * step.x));
+                    let f2 = z.z - twist * step.x * step.y;
+                    if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
+                    let crossing = first_crossing(f0, f1, f2, end - t, side == BELOW);
+                    if (crossing >= 0.0) {
+                        let there = clamp(way + crossing * step, vec2<f32>(0.0), vec2<f32>(1.0));
+                        if ((side == ABOVE || from_below) && is_solid(node.slot, c, there)) {
+                            return Hit(true, t + crossing, node.level, node.cell, there);
+                        }
+                        // on through the hole, or out of the ground; a twisted cell can be crossed back
+                        let length = end - t;
+                        let end_side = select(ABOVE, BELOW, f0 + length * (f1 + length * f2) < 0.0);
+                        let back = f0 / select(-1.0, f2 * crossing, f2 * crossing != 0.0);
+                        if (end_side == side && back > crossing && back <= length && (side == BELOW || from_below)) {
+                            let again = clamp(way + back * step, vec2<f32>(0.0), vec2<f32>(1.0));
+                            if (is_solid(node.slot, c, again)) {
+                                return Hit(true, t + back, node.level, node.cell, again);
+                            }
+                        }
+                        side = end_side;
+                    }
+                }
+                t = end;
+                if (leaving >= node_end) { break; }
+                let axis = select(1u, 0u, exits.x <= exits.y);
+                let other = 1u - axis;
+                let before = c;
+                c[axis] = select(low[axis] - 1, high[axis], forwards[axis]);
+                let there = ((frame.anchor[other] + i32(floor(o[other] + t * d[other])) + half) >> shift) - first[other];
+                c[other] = clamp(there, select(low[other], before[other], forwards[other]),
+                                 select(before[other], high[other] - 1, forwards[other]));
+                if (side == BELOW) { k = 0u; }
+                else if (k < NODE_BITS && ((before[axis] ^ c[axis]) >> (k + 1u)) != 0) { k += 1u; }
+            }
+        }
+        t = node_end;
+        if (t >= span.y) { return miss; }
+        let axis = select(1u, 0u, node_exits.x <= node_exits.y);
+        let other = 1u - axis;
+        let before = cell;
+        cell[axis] = select(node_low[axis] - 1, node_high[axis], forwards[axis]);
+        let there = frame.anchor[other] + i32(floor(o[other] + t * d[other]));
+        cell[other] = clamp(there, select(node_low[other], before[other], forwards[other]),
+                            select(before[other], node_high[other] - 1, forwards[other]));
+        if (cell[axis] < frame.extent[axis] || cell[axis] >= frame.extent[axis + 2u]) { return miss; }
+        steps += 1;
+        if (steps > STEPS) { break; }
+    }
+    return miss;
+}
+
+// The first way in [0, length] at which f0 + f1 s + f2 s^2 reaches zero from above (from below if `rising`); -1 if none.
+// On the wrong side from the start is a crossing at once.
+fn first_crossing(f0: f32, f1: f32, f2: f32, length: f32, rising: bool) -> f32 {
+    let sign = select(1.0, -1.0, rising);
+    let a = f2 * sign;
+    let b = f1 * sign;
+    let c = f0 * sign;
+    if (c <= 0.0) { return 0.0; }
+    let at_end = c + length * (b + length * a);
+    let root = b * b - 4.0 * a * c;
+    if (root < 0.0) { return select(-1.0, length, at_end < 0.0); }
+    // c > 0: the first root is 2c / (-b + sqrt(root)), free of cancellation for b < 0; for b > 0 it needs a < 0
+    let q = -b + sqrt(root);
+    var s = -1.0;
+    if (b <= 0.0) { if (q > 0.0) { s = 2.0 * c / q; } }
+    else if (a < 0.0) { s = (-b - sqrt(root)) / (2.0 * a); }
+    if (s >= 0.0 && s <= length) { return s; }
+    return select(-1.0, length, at_end < 0.0);
+}
+
+fn cell_coverage(slot: u32, c: vec2<i32>, way: vec2<f32>) -> f32 {
+    let at = c + HEIGHT_BORDER;
+    let layer = i32(slot);
+    return bilinear(
+        textureLoad(coverage_atlas, at - 1, layer, 0).x, textureLoad(coverage_atlas, at + vec2<i32>(0, -1), layer, 0).x,
+        textureLoad(coverage_atlas, at + vec2<i32>(-1, 0), layer, 0).x, textureLoad(coverage_atlas, at, layer, 0).x, way);
+}
+
+// Whether the surface exists at a place in the cell between samples c - 1 and c.
+fn is_solid(slot: u32, c: vec2<i32>, way: vec2<f32>) -> bool {
+    return clipmap.layers[HEIGHTS].covered == 1u || cell_coverage(slot, c, way) >= 0.5;
+}
+
+// Whether terrain stands between a camera-relative position on the ground and the sky in a direction. A start just under
+// the surface of the nodes is not in shadow for that.
+fn occluded(position: vec3<f32>, direction: vec3<f32>) -> bool {
+    return trace(Ray(position, direction), 0.0, 1e30, false).found;
+}

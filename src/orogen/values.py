@@ -1,0 +1,56 @@
+"""Settings from text: values by name into frozen dataclasses, with errors that say what there is."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from orogen.errors import SettingsError
+
+T = TypeVar("T")
+
+
+def expected_name(what: str, name: str, known: Iterable[str]) -> SettingsError:
+    """The error for a name that does not exist, with what does and the nearest one."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {close[0]}?" if close else ""
+    return SettingsError(f"{what}: expected one of {', '.join(known) or 'none'}, got {name!r}{hint}")
+
+
+def field_names(kind: type) -> list[str]:
+    """Names of a dataclass's fields."""
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def from_values(kind: type[T], what: str, values: Mapping[str, Any]) -> T:
+    """A settings dataclass from values by field name; text is read as the field's type.
+
+    `what` is what messages call the settings. Raises SettingsError for unknown names and unreadable values.
+    """
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in fields:
+            raise expected_name(f"setting of {what}", name, fields)
+    return kind(**{name: _parsed(what, fields[name], value) for name, value in values.items()})
+
+
+def _parsed(what: str, field: dataclasses.Field[Any], value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    # annotations are text only where a module asks for that
+    kind = field.type.__name__ if isinstance(field.type, type) else str(field.type)
+    if value.lower() == "none" and "None" in kind:
+        return None
+    try:
+        if kind.startswith("bool"):
+            return {"true": True, "1": True, "false": False, "0": False}[value.lower()]
+        if kind.startswith("int"):
+            return int(value)
+        if kind.startswith("float"):
+            return float(value)
+    except (ValueError, KeyError):
+        raise SettingsError(f"{what} {field.name}: expected {kind}, got {value!r}") from None
+    return value

@@ -1,0 +1,1 @@
+"""Pictures, videos and a window: the loop around everything above."""

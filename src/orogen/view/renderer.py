@@ -1,0 +1,265 @@
+"""Terrain to pictures: one terrain on the GPU, one view of it, an algorithm and the shading."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import wgpu
+from numpy.typing import NDArray
+
+from orogen.camera import Camera
+from orogen.errors import SettingsError
+from orogen.frame import Frame
+from orogen.gpu import Gpu, Readback
+from orogen.lod import DEFAULT, algorithm, make_settings
+from orogen.lod.contract import Statistics
+from orogen.pyramid.contract import Pyramid
+from orogen.raster.rasterizer import FOLDER as RASTER
+from orogen.raster.rasterizer import Rasterizer
+from orogen.raster.surface import Surface
+from orogen.shading.shade import Samples, Shading
+from orogen.shading.style import Style
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.settings import ClipmapSettings
+
+STILL_SAMPLES = 16
+"""Samples per pixel that a window gathers while nothing moves."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """How the terrain is put before the camera."""
+
+    exaggeration: float = 1.0
+    """Factor on all heights, above 0."""
+    curvature: bool = False
+    """Whether the ground drops with the distance as on a sphere of the earth's radius."""
+    lod_camera: Camera | None = None
+    """Camera that decides on levels of detail and culling; None: the one that looks."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A finished picture."""
+
+    frame: Frame
+    """What was drawn: camera, size, grid."""
+    color: NDArray[np.uint8]
+    """(height, width, 4) sRGB and alpha."""
+    reverse_depth: NDArray[np.float32]
+    """(height, width) reverse-z depth of the surface buffer at the pixel centres, 0 for the sky."""
+    statistics: Statistics
+    """What was drawn."""
+    gpu_times: Mapping[str, float] = field(default_factory=dict)
+    """Milliseconds per pass of the last sample; empty where the adapter has no timestamps."""
+    record_time: float = 0.0
+    """Seconds of CPU time to record and submit the last sample."""
+
+    @cached_property
+    def depth(self) -> NDArray[np.float32]:
+        """(height, width) metres along the view axis; NaN for the sky."""
+        return self.frame.view_depth(self.reverse_depth).astype(np.float32)
+
+    @cached_property
+    def position(self) -> NDArray[np.float64]:
+        """(height, width, 3): x, y in the data's CRS and height in metres of the data; NaN for the sky."""
+        return self.frame.positions(self.reverse_depth)
+
+
+class Renderer:
+    """Draws one terrain. Not safe to use from several threads at once."""
+
+    def __init__(
+        self,
+        gpu: Gpu,
+        heights: Pyramid,
+        colors: Pyramid | None = None,
+        *,
+        name: str = DEFAULT,
+        settings: Mapping[str, Any] | None = None,
+        clipmap: ClipmapSettings | None = None,
+    ) -> None:
+        """`name` and `settings`: the algorithm and values of its settings."""
+        kind = algorithm(name)
+        chosen = make_settings(name, settings or {})
+        self.gpu = gpu
+        self.clipmap = Clipmap(gpu, heights, colors, clipmap)
+        self.view = self.clipmap.view()
+        self.rasterizer = Rasterizer(self.clipmap)
+        self.shading = Shading(
+            gpu,
+            self.clipmap.layout,
+            self.rasterizer.read_layout,
+            [RASTER, *SEARCH],
+            self.clipmap.constants,
+            image=colors is not None,
+        )
+        self.timer = gpu.timer()
+        self.algorithm = kind(self.clipmap, chosen)
+        self._state = self.algorithm.view()
+        self._targets: tuple[Surface, Samples] | None = None
+        self._shown: tuple[Any, ...] = ()
+        self._frame: Frame | None = None
+
+    @property
+    def device(self) -> wgpu.GPUDevice:
+        """The device that draws."""
+        return self.gpu.device
+
+    def use(self, name: str, settings: Mapping[str, Any] | None = None) -> None:
+        """Change the algorithm; resident nodes stay."""
+        self.algorithm = algorithm(name)(self.clipmap, make_settings(name, settings or {}))
+        self._state = self.algorithm.view()
+        self._shown = ()
+
+    def render(
+        self,
+        camera: Camera,
+        size: tuple[int, int] = (1280, 720),
+        style: Style | None = None,
+        scene: Scene | None = None,
+        *,
+        samples: int = 1,
+    ) -> Picture:
+        """A picture of everything that is to be seen from `camera`, complete and the same each time.
+
+        `size`: width and height in pixels. `samples`: samples per pixel, from 1 to 256.
+        """
+        if not 1 <= samples <= 256:
+            raise SettingsError(f"samples: expected 1 to 256 per pixel, got {samples}")
+        style = style or Style()
+        frame = self._prepare(camera, size, scene or Scene())
+        self.view.want(frame)
+        self._want_more(frame)
+        self.clipmap.settle()
+        frame = self.view.frame_for(frame)
+        surface, light = self._targets_for(size)
+        depth, record_time = self._draw(frame, surface, light, style, samples)
+        while self._state.incomplete():
+            depth, record_time = self._draw(frame, surface, light, style, samples)
+        color = self._develop(light, style)
+        return Picture(
+            frame, color, depth.result(), self._state.statistics(), self.timer.results(wait=True), record_time
+        )
+
+    def draw_to(
+        self,
+        view: wgpu.GPUTextureView,
+        camera: Camera,
+        size: tuple[int, int],
+        style: Style | None = None,
+        scene: Scene | None = None,
+    ) -> bool:
+        """Draw into a texture without waiting for data: from what is resident, better the next time.
+
+        True while a further call would improve the picture: data streams in, or samples smooth it.
+        """
+        style = style or Style()
+        frame = self._prepare(camera, size, scene or Scene())
+        self.view.want(frame)
+        self._want_more(frame)
+        uploaded = self.clipmap.pump()
+        frame = self.view.frame_for(frame)
+        surface, light = self._targets_for(size)
+        shown = (camera, size, style, scene, frame.height_range)
+        if uploaded or shown != self._shown:
+            light.reset()
+            self._shown = shown
+        if light.count < STILL_SAMPLES:
+            self._submit_sample(_moved(frame, jitters(STILL_SAMPLES)[light.count]), surface, light, style)
+        encoder = self.gpu.encoder("resolve")
+        self.shading.resolve(encoder, self.timer, light, view, style)
+        self.gpu.submit(encoder)
+        return bool(self.clipmap.pending) or light.count < STILL_SAMPLES
+
+    def pick(self, column: int, row: int) -> tuple[float, float, float] | None:
+        """x, y in the data's CRS and height (m) of what the last picture shows at a pixel; None for the sky."""
+        if self._targets is None or self._frame is None:
+            return None
+        width, height = self._frame.size
+        if not (0 <= column < width and 0 <= row < height):
+            return None
+        depth = self._targets[0].targets["depth"]
+        value = float(self.gpu.read_texture(depth, origin=(column, row), size=(1, 1)).result()[0, 0])
+        if value == 0.0:
+            return None
+        x, y, z = self._frame.position(column, row, value)
+        return x, y, z
+
+    def close(self) -> None:
+        """Give the GPU memory back and stop loading."""
+        if self._targets:
+            for target in self._targets:
+                target.destroy()
+        self.clipmap.close()
+
+    def _prepare(self, camera: Camera, size: tuple[int, int], scene: Scene) -> Frame:
+        return self.view.frame_for(
+            Frame(
+                camera, self.clipmap.grid, size, scene.lod_camera,
+                exaggeration=scene.exaggeration, curvature=scene.curvature,
+            )
+        )  # fmt: skip
+
+    def _draw(
+        self, frame: Frame, surface: Surface, light: Samples, style: Style, samples: int
+    ) -> tuple[Readback, float]:
+        """Draw all samples; gives the depth at the pixel centres and the seconds that the last one took to record."""
+        light.reset()
+        depth: Readback | None = None
+        record_time = 0.0
+        for jitter in jitters(samples):
+            start = time.perf_counter()
+            self._submit_sample(_moved(frame, jitter), surface, light, style)
+            record_time = time.perf_counter() - start
+            depth = depth or surface.read("depth")
+        assert depth is not None
+        return depth, record_time
+
+    def _want_more(self, frame: Frame) -> None:
+        known = set(self.view.wishes[0])
+        self.view.wishes[0] = [*self.view.wishes[0], *(key for key in self._state.wants(frame) if key not in known)]
+
+    def _submit_sample(self, frame: Frame, surface: Surface, light: Samples, style: Style) -> None:
+        self._frame = frame
+        self.view.update(frame)
+        encoder = self.gpu.encoder("frame")
+        draws = self._state.record(encoder, self.timer, frame, self.view)
+        self.rasterizer.record(encoder, self.timer, draws, self.view, surface)
+        self.shading.record(encoder, self.timer, frame, self.view.bind_group, surface.read_group, light, style)
+        self.timer.resolve(encoder)
+        self.gpu.submit(encoder)
+
+    def _develop(self, light: Samples, style: Style) -> NDArray[np.uint8]:
+        target = self.gpu.texture("picture", light.size, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC", "surface")
+        encoder = self.gpu.encoder("resolve")
+        self.shading.resolve(encoder, self.timer, light, target.view(), style)
+        self.gpu.submit(encoder)
+        color = self.gpu.read_texture(target).result()
+        target.destroy()
+        return color
+
+    def _targets_for(self, size: tuple[int, int]) -> tuple[Surface, Samples]:
+        if self._targets is None or self._targets[0].size != size:
+            if self._targets:
+                for target in self._targets:
+                    target.destroy()
+                self._targets = None
+            self._targets = self.rasterizer.surface(size), self.shading.samples(size)
+            self._shown = ()
+        return self._targets
+
+
+def jitters(samples: int) -> list[tuple[float, float]]:
+    """Offsets of the samples in a pixel, the first in its centre: a low-discrepancy lattice (Roberts 2018, R2)."""
+    golden = 1.324717957244746
+    return [((0.5 + i / golden) % 1 - 0.5, (0.5 + i / golden**2) % 1 - 0.5) for i in range(samples)]
+
+
+def _moved(frame: Frame, jitter: tuple[float, float]) -> Frame:
+    return frame if jitter == (0.0, 0.0) else replace(frame, jitter=jitter)

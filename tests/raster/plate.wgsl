@@ -1,0 +1,10 @@
+#include clipmap.wgsl
+#include lod_vertex.wgsl
+// One quad over the whole extent: a plane from LEFT to RIGHT metres.
+
+fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
+    let corner = vec2<u32>(vertex & 1u, vertex >> 1u);
+    let cell = select(frame.extent.xy, frame.extent.zw, corner == vec2<u32>(1u));
+    let height = #{LEFT} + f32(corner.x) * (#{RIGHT} - #{LEFT});
+    return LodVertex(Point(cell, vec2<f32>(0.0)), height, vec2<f32>(corner), #{ID}u + instance, 2u, 7u);
+}
