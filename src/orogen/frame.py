@@ -68,6 +68,11 @@ class Frame:
         """The camera that decides on levels of detail."""
         return self.lod_camera or self.camera
 
+    @property
+    def lod_fov(self) -> float:
+        """Vertical angle of view (degrees) of the LOD camera, or of what stands in for an orthographic one."""
+        return REFERENCE_FOV if self.lod.orthographic else self.lod.fov
+
     @cached_property
     def subtexel_bits(self) -> int:
         """Fixed-point bits below a level-0 texel of the heights."""

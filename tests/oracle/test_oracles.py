@@ -10,10 +10,10 @@ import pytest
 
 from oracle.cellwalk import depth_picture, first_hits
 from oracle.crops import NAMES, crop
-from oracle.embree import EmbreeSurface, compare
 from oracle.landscapes import hills
 from orogen.camera import Camera
 from orogen.compare.cameras import standard_cameras
+from orogen.compare.embree import EmbreeSurface, compare
 from orogen.compare.truth import TrueSurface
 from orogen.frame import Frame
 from orogen.grid import Grid

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from oracle.crops import NAMES, crop
-from oracle.embree import EmbreeSurface, compare
 from orogen.compare.cameras import standard_cameras
+from orogen.compare.embree import EmbreeSurface, compare
 from orogen.compare.truth import TrueSurface
 from orogen.gpu import Gpu
 from orogen.pyramid.open import open_pyramid

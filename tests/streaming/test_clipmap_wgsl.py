@@ -78,7 +78,11 @@ class Twin:
         lod = frame.lod
         flat = np.hypot((x - lod.x) * scale[0], (y - lod.y) * scale[1])
         distance = np.hypot(flat, lod.z - frame.ground_height * frame.exaggeration)
-        reach = self.settings.view_distance_for(frame.size) * self.settings.node_size * (grid or frame.grid).spacing
+        reach = (
+            self.settings.view_distance_for(frame.size, frame.lod_fov)
+            * self.settings.node_size
+            * (grid or frame.grid).spacing
+        )
         with np.errstate(divide="ignore"):
             return np.clip(np.log2(2 * distance / reach), 0, len(self.levels) - 1)
 

@@ -25,6 +25,9 @@ LARGE = "taiwan_20m_10481x19401_int16.tif"
 SIZE = (1920, 1080)
 MB = 1e6
 
+PINNED: dict[str, Any] = {"view_distance": math.inf, "memory": 2 << 30, "host_memory": 1 << 30}
+"""Settings that keep all of level 0 resident."""
+
 CAMERAS: dict[str, tuple[str, ...]] = {
     "whole": (),
     "near": ("--look-at", "13480000,2720000", "--distance", "4000", "--pitch", "-15"),
@@ -129,13 +132,12 @@ def accuracy(folder: Path, report: Report) -> list[Figure]:
     from orogen.terrain import open_terrain
 
     size = (960, 540)
-    pinned = {"view_distance": math.inf, "memory": 2 << 30, "host_memory": 1 << 30}
     figures = []
     for title, heights, spacing in _crops(folder):
         surface = TrueSurface(heights)
         views: dict[str, list[Any]] = {name: [] for name in algorithms() if name != "raycast"}
         with (
-            open_terrain(heights, spacing=spacing, algorithm="raycast", settings=pinned, gpu_memory=None) as exact,
+            open_terrain(heights, spacing=spacing, algorithm="raycast", settings=PINNED, gpu_memory=None) as exact,
             open_terrain(heights, spacing=spacing) as terrain,
         ):
             cameras = standard_cameras(exact.grid, surface)
@@ -160,11 +162,49 @@ def accuracy(folder: Path, report: Report) -> list[Figure]:
     return figures
 
 
+def rays(folder: Path, report: Report) -> list[Figure]:
+    """Ray casting against Embree's triangles on real crops, and rays that slip through."""
+    from orogen.compare.cameras import standard_cameras
+    from orogen.compare.embree import EmbreeSurface, compare
+    from orogen.compare.truth import TrueSurface
+    from orogen.lod.raycast.probe import Probe
+    from orogen.lod.raycast.watertight import lost_rays
+    from orogen.terrain import open_terrain
+
+    size, side, count = (320, 200), 129, 10_000_000
+    figures = []
+    crops = _crops(folder, all_of_them=True)
+    for number, (title, heights, spacing) in enumerate(crops):
+        middle = heights[heights.shape[0] // 2 :, heights.shape[1] // 2 :][:side, :side]
+        with open_terrain(middle, spacing=spacing, algorithm="raycast", settings=PINNED) as terrain:
+            off, views = 0.0, standard_cameras(terrain.grid, TrueSurface(middle))
+            for name, camera in views.items():
+                picture = terrain.render(camera, size, samples=1)
+                try:
+                    surface = EmbreeSurface(picture.frame, middle)
+                except OrogenError as error:
+                    return [Figure("raycast", "against Embree", None, note=str(error))]
+                off = max(off, 1 - compare(picture.reverse_depth, picture.frame, surface).share)
+                report((number + list(views).index(name) / len(views)) / (len(crops) + 1), f"rays, {title}")
+        name = "pixels off by 0.01 of a cell's relief, worst view"
+        figures.append(Figure(f"raycast against Embree, {title}", name, 100 * off, "%", 0.1))
+    title, heights, spacing = crops[0]
+    report(len(crops) / (len(crops) + 1), f"rays, {count:.0e} through {title}")
+    with open_terrain(heights, spacing=spacing, algorithm="raycast", settings=PINNED, gpu_memory=None) as terrain:
+        picture = terrain.render(size=size, samples=1)
+        renderer = terrain.renderer
+        lost = lost_rays(Probe(renderer.clipmap), renderer.view, picture.frame, count)
+    figures.append(Figure(f"raycast, {title}", f"rays lost of {count:.0e}", lost, "", 0))
+    report(1.0, "rays")
+    return figures
+
+
 MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "speed": speed,
     "pyramid": pyramid,
     "record": record,
     "accuracy": accuracy,
+    "rays": rays,
 }
 """What can be measured, by name."""
 
@@ -228,8 +268,8 @@ def _small(folder: Path) -> Any:
     return str(raster) if raster.exists() else "synthetic"
 
 
-def _crops(folder: Path) -> list[tuple[str, Any, float]]:
-    """(name, heights, spacing in metres) of the data that accuracy is measured on."""
+def _crops(folder: Path, all_of_them: bool = False) -> list[tuple[str, Any, float]]:
+    """(name, heights, spacing in metres) of the data that accuracy is measured on: two crops, or all."""
     from orogen.source import open_height
 
     crops = []
@@ -242,5 +282,10 @@ def _crops(folder: Path) -> list[tuple[str, Any, float]]:
     if taiwan.exists():
         source = open_height(taiwan)
         crops.append(("Taiwan crop", source.read(slice(8000, 10048), slice(4000, 6048)), source.grid.spacing))
+        source.close()
+    tujunga = folder / "bigtujunga_30m_utm.tif"
+    if all_of_them and tujunga.exists():
+        source = open_height(tujunga)
+        crops.append(("Big Tujunga", source.read(slice(0, 643), slice(0, 1197)), source.grid.spacing))
         source.close()
     return crops

@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any
 
 from orogen.errors import NoAdapterError, SettingsError
+from orogen.gpu.quick_types import quicken_type_parsing
 
 ADAPTER_VARIABLE = "OROGEN_ADAPTER"
 """Environment variable that chooses an adapter where no argument does."""
@@ -60,7 +61,9 @@ def adapters() -> list[AdapterInfo]:
 def native_adapters() -> list[tuple[AdapterInfo, Any]]:
     """`adapters()`, each with its `wgpu.GPUAdapter`."""
     import wgpu
+    from wgpu.backends.wgpu_native import ffi
 
+    quicken_type_parsing(ffi)
     _use_full_backends()
     found = wgpu.gpu.enumerate_adapters_sync()
     return [(_describe(index, adapter), adapter) for index, adapter in enumerate(found)]

@@ -17,6 +17,8 @@ from orogen.streaming.tiles import ColorNode, HeightNode
 
 FOLDER = Path(__file__).parent
 
+_UNIFORM_STEP = 256
+
 
 @dataclass(frozen=True)
 class Attachment:
@@ -146,25 +148,26 @@ class MaximaBuilder:
                 0: ("COMPUTE", "read"),
                 1: ("COMPUTE", "texture unfilterable 2d-array"),
                 2: ("COMPUTE", "image r32float readwrite 2d-array"),
+                3: ("COMPUTE", "uniform dynamic"),
             },
         )
+        levels = np.zeros((node_bits, _UNIFORM_STEP // 4), np.uint32)
+        levels[:, 0] = np.arange(1, node_bits + 1)
+        numbers = gpu.buffer("maxima levels", levels, "UNIFORM", "clipmap")
         array = {"dimension": "2d-array"}
         self._group = gpu.bind(
-            "maxima", layout,
-            {0: self._slots, 1: atlas.textures["height"].view(**array), 2: atlas.textures["maxima"].view(**array)},
-        )  # fmt: skip
-        self._pipelines = [
-            gpu.compute(
-                f"maxima {level}",
-                gpu.shader(
-                    f"maxima {level}", FOLDER / "maxima.wgsl",
-                    constants={"LEVEL": level, "NODE_BITS": node_bits, "HEIGHT_BORDER": HEIGHT_BORDER},
-                ),
-                "build",
-                [layout],
-            )
-            for level in range(1, node_bits + 1)
-        ]  # fmt: skip
+            "maxima",
+            layout,
+            {
+                0: self._slots,
+                1: atlas.textures["height"].view(**array),
+                2: atlas.textures["maxima"].view(**array),
+                3: (numbers, 0, 4),
+            },
+        )
+        constants = {"NODE_BITS": node_bits, "HEIGHT_BORDER": HEIGHT_BORDER}
+        shader = gpu.shader("maxima", FOLDER / "maxima.wgsl", constants=constants)
+        self._pipeline = gpu.compute("maxima", shader, "build", [layout])
 
     def build(self, slots: list[int]) -> None:
         """Make the pyramids of some slots."""
@@ -173,10 +176,10 @@ class MaximaBuilder:
         self._gpu.write(self._slots, np.asarray(slots, np.uint32))
         encoder = self._gpu.encoder("maxima")
         run = encoder.begin_compute_pass(label="maxima")
-        run.set_bind_group(0, self._group)
-        for level, pipeline in enumerate(self._pipelines, start=1):
+        run.set_pipeline(self._pipeline)
+        for level in range(1, self._bits + 1):
             groups = -(-((1 << self._bits >> level) + 1) // 8)
-            run.set_pipeline(pipeline)
+            run.set_bind_group(0, self._group, [_UNIFORM_STEP * (level - 1)])
             run.dispatch_workgroups(groups, groups, len(slots))
         run.end()
         self._gpu.submit(encoder)

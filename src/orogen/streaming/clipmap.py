@@ -15,7 +15,7 @@ from orogen.errors import OrogenError
 from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import Buffer, Gpu, Texture
 from orogen.grid import Grid
-from orogen.keys import NodeKey
+from orogen.keys import NodeKey, level_shape
 from orogen.pyramid.contract import Pyramid
 from orogen.streaming import blocks
 from orogen.streaming.layer import Layer
@@ -146,21 +146,27 @@ class Clipmap:
                         break
 
     def height_under(self, x: float, y: float) -> float:
-        """Height (m) of the terrain at CRS coordinates, of the nearest sample inside; for choosing levels of detail."""
+        """Height (m) of the terrain at CRS coordinates, or nearest to them; for choosing levels of detail.
+
+        Interpolated, so that levels do not jump while a camera moves.
+        """
         layer = self.heights
-        pyramid = layer.pyramid
-        tx, ty = (float(v) for v in self.grid.to_texel(x, y))
-        for level in filter(layer.tiles.readable, range(pyramid.level_count)):
-            rows, cols = -(-self.grid.height >> level), -(-self.grid.width >> level)
-            row = int(np.clip(math.floor(np.clip(ty, 0, 2**40)) >> level, 0, rows - 1))
-            col = int(np.clip(math.floor(np.clip(tx, 0, 2**40)) >> level, 0, cols - 1))
+        texel = np.array([float(v) for v in self.grid.to_texel(x, y)])[::-1]
+        for level in filter(layer.tiles.readable, range(layer.pyramid.level_count)):
+            last = np.array(level_shape(self.grid.shape, level)) - 1
+            at = np.clip(texel / 2.0**level - 0.5, 0, last)
+            first = np.minimum(np.floor(at), np.maximum(last - 1, 0)).astype(int)
+            stop = np.minimum(first + 1, last) + 1
             try:
-                value = float(layer.tiles.window(level, slice(row, row + 1), slice(col, col + 1))[0, 0])
+                heights = layer.tiles.window(level, slice(first[0], stop[0]), slice(first[1], stop[1]))
             except OrogenError:
                 # the loader reports what cannot be read; here a coarser level will do
                 continue
-            if math.isfinite(value):
-                return value
+            way = at - first
+            weights = np.outer([1 - way[0], way[0]], [1 - way[1], way[1]])[: heights.shape[0], : heights.shape[1]]
+            weights = np.where(np.isfinite(heights), weights, 0.0)
+            if weights.sum() > 0:
+                return float((weights * np.nan_to_num(heights)).sum() / weights.sum())
         return sum(self.height_range) / 2
 
     def close(self) -> None:
@@ -217,7 +223,7 @@ class ClipmapView:
     def want(self, frame: Frame) -> None:
         """Work out which nodes the frame wants; `Clipmap.pump` loads them."""
         settings = self.clipmap.settings
-        load = min(settings.load_distance_for(frame.size), 1e15)
+        load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e15)
         low, high = self.clipmap.height_range
 
         def everywhere(_: int, rows: NDArray, __: NDArray) -> tuple[NDArray, NDArray]:
@@ -231,8 +237,8 @@ class ClipmapView:
     def update(self, frame: Frame) -> None:
         """Write the frame's numbers and, where camera or residency changed, the quadtrees."""
         settings, layers = self.clipmap.settings, self.clipmap.layers
-        view = settings.view_distance_for(frame.size)
-        load = min(settings.load_distance_for(frame.size), 1e6)
+        view = settings.view_distance_for(frame.size, frame.lod_fov)
+        load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e6)
         self._size_tables([_table_bits(layer.grid, load) for layer in layers])
         origins = [
             _origins(layer.grid, bits, _lod_texel(frame, layer.grid.grid))

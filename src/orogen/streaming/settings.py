@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from orogen.errors import SettingsError
+from orogen.frame import REFERENCE_FOV
 
 HEIGHT_BORDER = 2
 """Border of a node's heights in texels (border_size): one for interpolation, two for normals (Kuehnert 2022, 6.2)."""
@@ -14,6 +16,8 @@ COLOR_MIPS = 4
 """Mip levels stored with a node's colours (mip_count)."""
 MAX_ANISOTROPY = 8
 """Greatest ratio of a colour footprint's sides that is filtered without blur: samples taken at most."""
+MAX_ZOOM = 8.0
+"""Greatest factor by which a narrow angle of view widens view_distance: beyond it far ground is drawn coarser."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +26,8 @@ class ClipmapSettings:
 
     view_distance: float | None = None
     """Radius around the camera within which level 0 is used, in leaf nodes; level L is used to 2^L times that. None:
-    the longer side of the picture over the node size, which gives about one texel a pixel (section 6.2). Infinite:
-    level 0 everywhere."""
+    the longer side of the picture over the node size, which gives about one texel a pixel (section 6.2) at an angle of
+    view of 45 degrees, and in proportion at others. Infinite: level 0 everywhere."""
     load_distance: float | None = None
     """Radius within which the nodes of level 0 are loaded, in leaf nodes, at least view_distance. None: the same. More
     than that loads ahead of a moving camera."""
@@ -67,10 +71,14 @@ class ClipmapSettings:
         """Logarithm of node_size."""
         return self.node_size.bit_length() - 1
 
-    def view_distance_for(self, size: tuple[int, int]) -> float:
-        """view_distance for a picture of (width, height) pixels."""
-        return self.view_distance if self.view_distance is not None else max(size) / self.node_size
+    def view_distance_for(self, size: tuple[int, int], fov: float = REFERENCE_FOV) -> float:
+        """view_distance for a picture of (width, height) pixels and a vertical angle of view in degrees."""
+        if self.view_distance is not None:
+            return self.view_distance
+        # a narrower view magnifies what is far
+        zoom = math.tan(math.radians(REFERENCE_FOV) / 2) / math.tan(math.radians(fov) / 2)
+        return max(size) / self.node_size * min(zoom, MAX_ZOOM)
 
-    def load_distance_for(self, size: tuple[int, int]) -> float:
-        """load_distance for a picture of (width, height) pixels."""
-        return max(self.load_distance or 0.0, self.view_distance_for(size))
+    def load_distance_for(self, size: tuple[int, int], fov: float = REFERENCE_FOV) -> float:
+        """load_distance for a picture of (width, height) pixels and a vertical angle of view in degrees."""
+        return max(self.load_distance or 0.0, self.view_distance_for(size, fov))

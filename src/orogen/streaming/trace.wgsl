@@ -18,6 +18,7 @@ struct Hit {
 const UNKNOWN = 0;
 const ABOVE = 1;
 const BELOW = 2;
+const SHADOW_MARGIN = 0.05;   // texels: shading is smoother than the cells, which shadow one another where light grazes
 const STEPS = 1 << 17;   // more than cells on any path: ends rays that rounding has made endless
 
 // Height of a ray over the eye, in metres of the data: x + t y + t^2 z (the last from the earth's curvature).
@@ -41,6 +42,9 @@ fn lowest_on(z: vec3<f32>, a: f32, b: f32) -> f32 {
     }
     return low;
 }
+
+// Highest height of the ray between two parameters.
+fn highest_on(z: vec3<f32>, a: f32, b: f32) -> f32 { return max(height_on(z, a), height_on(z, b)); }
 
 // The level whose node around the cell the traversal uses: a node is split while its nearest point is in reach of finer
 // data, so that all rays agree.
@@ -97,7 +101,8 @@ fn under_ceiling(z: vec3<f32>, span: vec2<f32>) -> vec2<f32> {
 }
 
 // First point between `from_t` and `to_t` where the ray meets the surface from above, or from below where
-// `from_below` is set and the ray has come under it (through missing data, or from the edge).
+// `from_below` is set and the ray has come under it (through missing data, or from the edge). A ray without `from_below`
+// starts above the surface.
 fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
     var miss: Hit;
     if (clipmap.layers[HEIGHTS].present == 0u) { return miss; }
@@ -111,7 +116,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
     let forwards = d >= vec2<f32>(0.0);
     var t = span.x;
     var cell = clamp(frame.anchor + vec2<i32>(floor(o + t * d)), frame.extent.xy, frame.extent.zw - 1);
-    var side = select(UNKNOWN, ABOVE, span.x > over.x);
+    var side = select(UNKNOWN, ABOVE, span.x > over.x || !from_below);
     var steps = 0;
     loop {
         // one node
@@ -126,16 +131,18 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
         let node_end = clamp(min(node_exits.x, node_exits.y), t, span.y);
 
         let above = side != BELOW && lowest_on(z, t, node_end) > bounds.high - frame.eye_height;
-        let under = side == BELOW && max(height_on(z, t), height_on(z, node_end)) < bounds.low - frame.eye_height;
+        let under = side != ABOVE && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
         if (node.slot == NO_SLOT || above) {
             side = ABOVE;
-        } else if (!under) {
+        } else if (under) {
+            side = BELOW;
+        } else {
             let shift = frame.subtexel_bits + node.level;
             let half = 1i << (shift - 1u);
             let first = (node.cell << vec2<u32>(NODE_BITS));
             var c = ((cell + half) >> vec2<u32>(shift)) - first;
             let scale = inverse_power(shift);
-            var k = select(5u, 0u, side == BELOW);
+            var k = select(select(7u, 3u, !from_below && t == from_t), 0u, side == BELOW);
             loop {
                 steps += 1;
                 if (steps > STEPS) { return miss; }
@@ -190,7 +197,8 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     }
                 }
                 t = end;
-                if (leaving >= node_end) { break; }
+                let dives = side == BELOW && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
+                if (leaving >= node_end || dives) { break; }
                 let axis = select(1u, 0u, exits.x <= exits.y);
                 let other = 1u - axis;
                 let before = c;
@@ -251,8 +259,13 @@ fn is_solid(slot: u32, c: vec2<i32>, way: vec2<f32>) -> bool {
     return clipmap.layers[HEIGHTS].covered == 1u || cell_coverage(slot, c, way) >= 0.5;
 }
 
-// Whether terrain stands between a camera-relative position on the ground and the sky in a direction. A start just under
-// the surface of the nodes is not in shadow for that.
+// Whether terrain stands between a camera-relative position on the ground and the sky in a direction. What was drawn may
+// lie a little under the nodes that rays meet, and both are rounded: the ray starts just above the higher one.
 fn occluded(position: vec3<f32>, direction: vec3<f32>) -> bool {
-    return trace(Ray(position, direction), 0.0, 1e30, false).found;
+    let p = clamp_to_extent(ground_point(position));
+    let level = traversal_level(p.cell);
+    let surface = lift(position.xy, height_at_level(p, level)).z;
+    let margin = SHADOW_MARGIN * frame.spacing * f32(1u << level) + 2e-6 * length(position);
+    let start = vec3<f32>(position.xy, max(position.z, surface) + margin);
+    return trace(Ray(start, direction), 0.0, 1e30, false).found;
 }

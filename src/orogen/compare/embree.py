@@ -10,23 +10,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from orogen.errors import SettingsError
 from orogen.frame import Frame
 
 SPLIT = 8
+"""Squares along a cell's side."""
 FLOOR = 0.02
 """Least relief of a cell, as a share of the spacing: flat cells would ask for more digits than float32 has."""
 
 
 class EmbreeSurface:
-    """The triangles of `heights` (rows, columns; no nodata) as seen from a frame's camera, without curvature."""
+    """The triangles of `heights` (rows, columns; no nodata) as seen from a frame's camera, without curvature.
+
+    Needs the package embreex (`pip install orogen[bench]`), else SettingsError.
+    """
 
     def __init__(self, frame: Frame, heights: NDArray[np.floating]) -> None:
-        assert not frame.curvature
-        assert frame.grid.shape == heights.shape
+        if frame.curvature or frame.grid.shape != heights.shape:
+            raise SettingsError(
+                f"expected a frame without curvature over heights of shape {frame.grid.shape}, got {heights.shape}"
+            )
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError as error:
+            raise SettingsError("expected the package embreex; pip install orogen[bench]") from error
         self.frame = frame
         self.heights = np.asarray(heights, np.float64)
         rows, columns = self.heights.shape
