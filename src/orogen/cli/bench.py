@@ -35,7 +35,7 @@ def bench(
     data
         Folder with the test data. [default: OROGEN_TEST_DATA, else ../shared/data]
     only
-        Measure just this: speed, pyramid, record, accuracy or rays; repeat for several.
+        Measure just this: speed, pyramid, record, passes, accuracy or rays; repeat for several.
     json
         Write JSON.
     """

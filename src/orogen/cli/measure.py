@@ -123,6 +123,31 @@ def record(folder: Path, report: Report) -> list[Figure]:
     return figures
 
 
+def passes(folder: Path, report: Report) -> list[Figure]:
+    """Milliseconds of the GPU's passes, all that is wanted being resident."""
+    from orogen.lod import algorithms
+    from orogen.terrain import open_terrain
+
+    frames = 12
+    figures = []
+    title, heights, spacing = _crops(folder)[0] if _crops(folder) else ("synthetic", "synthetic", None)
+    with open_terrain(heights, spacing=spacing) as terrain:
+        camera = terrain.camera(distance=0.2 * spacing * max(terrain.shape) if spacing else None, pitch=-15.0)
+        adapter = terrain.renderer.gpu.info.name
+        for name in algorithms():
+            terrain.use(name)
+            times: dict[str, list[float]] = {}
+            for number in range(frames):
+                report(number / (frames - 1), f"passes, {name}")
+                picture = terrain.render(camera.moved(heading=camera.heading + 30 * number), SIZE, samples=1)
+                for part, value in picture.gpu_times.items():
+                    times.setdefault(part, []).append(value)
+            group = f"{name}, {title} 1920x1080, {adapter}"
+            # the first frame compiles
+            figures += [Figure(group, f"{part}, median", statistics.median(t[1:]), "ms") for part, t in times.items()]
+    return figures
+
+
 def accuracy(folder: Path, report: Report) -> list[Figure]:
     """Every algorithm against rays over level 0, from twelve cameras."""
     from orogen.compare.accuracy import measure, rows
@@ -203,6 +228,7 @@ MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "speed": speed,
     "pyramid": pyramid,
     "record": record,
+    "passes": passes,
     "accuracy": accuracy,
     "rays": rays,
 }

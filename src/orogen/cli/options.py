@@ -159,7 +159,7 @@ class StyleOptions:
 class DrawingOptions:
     """How the picture is drawn."""
 
-    algorithm: str = "udlod"
+    algorithm: str = "raycast"
     """Terrain algorithm."""
     set: Annotated[list[str] | None, Parameter(negative="", metavar="KEY=VALUE")] = None
     """Setting of the algorithm or of the streaming, such as pixels_per_quad=2; repeat for several."""

@@ -11,7 +11,7 @@ from typing import Any
 from orogen.lod.contract import Algorithm
 from orogen.values import expected_name, from_values
 
-DEFAULT = "udlod"
+DEFAULT = "raycast"
 """Algorithm that is used when none is named."""
 
 

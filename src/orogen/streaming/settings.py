@@ -37,7 +37,7 @@ class ClipmapSettings:
     """Share of a level's range in which it is blended into the next coarser one, above 0 and at most 1."""
     node_size: int = 256
     """Texels along a node's side without its border (center_size): 256, 512 or 1024."""
-    memory: int = 224 << 20
+    memory: int = 192 << 20
     """Bytes of GPU memory for the node atlas. A full atlas lowers detail."""
     host_memory: int = 64 << 20
     """Bytes of host memory for decoded tiles and for nodes that wait to be uploaded."""

@@ -100,6 +100,32 @@ fn under_ceiling(z: vec3<f32>, span: vec2<f32>) -> vec2<f32> {
     return select(span, vec2<f32>(1.0, 0.0), c > 0.0);
 }
 
+// Where a ray leaves a block of 2^k cells: its parameter, and the axis whose border it meets.
+struct Crossing { t: f32, axis: u32 }
+
+fn crossing_of(
+    c: vec2<i32>, k: u32, first: vec2<i32>, shift: u32, o: vec2<f32>, d: vec2<f32>, forwards: vec2<bool>
+) -> Crossing {
+    let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
+    let half = 1i << (shift - 1u);
+    let border = ((first + select(low, low + (1i << k), forwards)) << vec2<u32>(shift)) - half - frame.anchor;
+    let exits = select(vec2<f32>(1e30), (vec2<f32>(border) - o) / d, d != vec2<f32>(0.0));
+    return Crossing(min(exits.x, exits.y), select(1u, 0u, exits.x <= exits.y));
+}
+
+// The cell behind a block's border: the crossed axis moves by index, the other one stays in the block.
+fn next_cell(
+    c: vec2<i32>, k: u32, crossing: Crossing, first: vec2<i32>, shift: u32, at: vec2<f32>, forwards: vec2<bool>
+) -> vec2<i32> {
+    let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
+    let high = low + (1i << k);
+    let half = 1i << (shift - 1u);
+    let there = ((frame.anchor + vec2<i32>(floor(at)) + half) >> vec2<u32>(shift)) - first;
+    let inside = clamp(there, select(low, c, forwards), select(c, high - 1, forwards));
+    let beyond = select(low - 1, high, forwards);
+    return select(inside, beyond, vec2<bool>(crossing.axis == 0u, crossing.axis == 1u));
+}
+
 // First point between `from_t` and `to_t` where the ray meets the surface from above, or from below where
 // `from_below` is set and the ray has come under it (through missing data, or from the edge). A ray without `from_below`
 // starts above the surface.
@@ -142,72 +168,73 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
             let first = (node.cell << vec2<u32>(NODE_BITS));
             var c = ((cell + half) >> vec2<u32>(shift)) - first;
             let scale = inverse_power(shift);
-            var k = select(select(7u, 3u, !from_below && t == from_t), 0u, side == BELOW);
+            var k = select(select(7u, 2u, !from_below && t == from_t), 0u, side == BELOW);
+            var way_out: Crossing;
             loop {
-                steps += 1;
-                if (steps > STEPS) { return miss; }
-                let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
-                let high = low + (1i << k);
-                let border = ((first + select(low, high, forwards)) << vec2<u32>(shift)) - half - frame.anchor;
-                let exits = select(vec2<f32>(1e30), (vec2<f32>(border) - o) / d, d != vec2<f32>(0.0));
-                let leaving = min(exits.x, exits.y);
-                let end = clamp(leaving, t, node_end);
-
-                if (k > 0u) {
-                    let highest = textureLoad(maxima_atlas, maxima_texel(k, low >> vec2<u32>(k)), i32(node.slot), 0).x;
-                    if (lowest_on(z, t, end) <= highest - frame.eye_height) {
+                // over blocks that the ray clears, down to the next cell that it may meet: a loop of its own, so that
+                // the lanes of a group come to their cells together
+                loop {
+                    steps += 1;
+                    way_out = crossing_of(c, k, first, shift, o, d, forwards);
+                    if (k == 0u || steps > STEPS) { break; }
+                    let entry = maxima_texel(k, c >> vec2<u32>(k));
+                    let highest = textureLoad(maxima_atlas, entry, i32(node.slot), 0).x;
+                    if (lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
                         k -= 1u;
                         continue;
                     }
                     side = ABOVE;
-                } else {
-                    // the cell between samples c - 1 and c
-                    let h00 = height_texel(node.slot, c - 1);
-                    let h10 = height_texel(node.slot, c + vec2<i32>(0, -1));
-                    let h01 = height_texel(node.slot, c + vec2<i32>(-1, 0));
-                    let h11 = height_texel(node.slot, c);
-                    let corner = ((first + c) << vec2<u32>(shift)) - half - frame.anchor;
-                    let way = clamp((o + t * d - vec2<f32>(corner)) * scale, vec2<f32>(0.0), vec2<f32>(1.0));
-                    let step = d * scale;
-                    let across = h10 - h00;
-                    let along = h01 - h00;
-                    let twist = h11 - h10 - along;
-                    // height over the surface as a polynomial of the way from t
-                    let f0 = height_on(z, t) - ((h00 - frame.eye_height) + across * way.x + along * way.y + twist * way.x * way.y);
-                    let f1 = z.y + 2.0 * z.z * t - (across * step.x + along * step.y + twist * (way.x * step.y + way.y * step.x));
-                    let f2 = z.z - twist * step.x * step.y;
-                    if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
-                    let crossing = first_crossing(f0, f1, f2, end - t, side == BELOW);
-                    if (crossing >= 0.0) {
-                        let there = clamp(way + crossing * step, vec2<f32>(0.0), vec2<f32>(1.0));
-                        if ((side == ABOVE || from_below) && is_solid(node.slot, c, there)) {
-                            return Hit(true, t + crossing, node.level, node.cell, there);
-                        }
-                        // on through the hole, or out of the ground; a twisted cell can be crossed back
-                        let length = end - t;
-                        let end_side = select(ABOVE, BELOW, f0 + length * (f1 + length * f2) < 0.0);
-                        let back = f0 / select(-1.0, f2 * crossing, f2 * crossing != 0.0);
-                        if (end_side == side && back > crossing && back <= length && (side == BELOW || from_below)) {
-                            let again = clamp(way + back * step, vec2<f32>(0.0), vec2<f32>(1.0));
-                            if (is_solid(node.slot, c, again)) {
-                                return Hit(true, t + back, node.level, node.cell, again);
-                            }
-                        }
-                        side = end_side;
+                    t = clamp(way_out.t, t, node_end);
+                    if (way_out.t >= node_end) { break; }
+                    let before = c;
+                    c = next_cell(c, k, way_out, first, shift, o + t * d, forwards);
+                    if (k < NODE_BITS && ((before[way_out.axis] ^ c[way_out.axis]) >> (k + 1u)) != 0) { k += 1u; }
+                }
+                if (steps > STEPS) { return miss; }
+                if (k > 0u) { break; }
+                let end = clamp(way_out.t, t, node_end);
+
+                // the cell between samples c - 1 and c
+                let h00 = height_texel(node.slot, c - 1);
+                let h10 = height_texel(node.slot, c + vec2<i32>(0, -1));
+                let h01 = height_texel(node.slot, c + vec2<i32>(-1, 0));
+                let h11 = height_texel(node.slot, c);
+                let corner = ((first + c) << vec2<u32>(shift)) - half - frame.anchor;
+                let way = clamp((o + t * d - vec2<f32>(corner)) * scale, vec2<f32>(0.0), vec2<f32>(1.0));
+                let step = d * scale;
+                let across = h10 - h00;
+                let along = h01 - h00;
+                let twist = h11 - h10 - along;
+                // height over the surface as a polynomial of the way from t
+                let f0 = height_on(z, t) - ((h00 - frame.eye_height) + across * way.x + along * way.y + twist * way.x * way.y);
+                let f1 = z.y + 2.0 * z.z * t - (across * step.x + along * step.y + twist * (way.x * step.y + way.y * step.x));
+                let f2 = z.z - twist * step.x * step.y;
+                if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
+                let crossing = first_crossing(f0, f1, f2, end - t, side == BELOW);
+                if (crossing >= 0.0) {
+                    let cover = cell_coverage(node.slot, c);
+                    let there = clamp(way + crossing * step, vec2<f32>(0.0), vec2<f32>(1.0));
+                    if ((side == ABOVE || from_below) && is_solid(cover, there)) {
+                        return Hit(true, t + crossing, node.level, node.cell, there);
                     }
+                    // on through the hole, or out of the ground; a twisted cell can be crossed back
+                    let length = end - t;
+                    let end_side = select(ABOVE, BELOW, f0 + length * (f1 + length * f2) < 0.0);
+                    let back = f0 / select(-1.0, f2 * crossing, f2 * crossing != 0.0);
+                    if (end_side == side && back > crossing && back <= length && (side == BELOW || from_below)) {
+                        let again = clamp(way + back * step, vec2<f32>(0.0), vec2<f32>(1.0));
+                        if (is_solid(cover, again)) {
+                            return Hit(true, t + back, node.level, node.cell, again);
+                        }
+                    }
+                    side = end_side;
                 }
                 t = end;
                 let dives = side == BELOW && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
-                if (leaving >= node_end || dives) { break; }
-                let axis = select(1u, 0u, exits.x <= exits.y);
-                let other = 1u - axis;
+                if (way_out.t >= node_end || dives) { break; }
                 let before = c;
-                c[axis] = select(low[axis] - 1, high[axis], forwards[axis]);
-                let there = ((frame.anchor[other] + i32(floor(o[other] + t * d[other])) + half) >> shift) - first[other];
-                c[other] = clamp(there, select(low[other], before[other], forwards[other]),
-                                 select(before[other], high[other] - 1, forwards[other]));
-                if (side == BELOW) { k = 0u; }
-                else if (k < NODE_BITS && ((before[axis] ^ c[axis]) >> (k + 1u)) != 0) { k += 1u; }
+                c = next_cell(c, 0u, way_out, first, shift, o + t * d, forwards);
+                if (side != BELOW && ((before[way_out.axis] ^ c[way_out.axis]) >> 1u) != 0) { k = 1u; }
             }
         }
         t = node_end;
@@ -246,17 +273,19 @@ fn first_crossing(f0: f32, f1: f32, f2: f32, length: f32, rising: bool) -> f32 {
     return select(-1.0, length, at_end < 0.0);
 }
 
-fn cell_coverage(slot: u32, c: vec2<i32>, way: vec2<f32>) -> f32 {
+// Coverage of the corners of the cell between samples c - 1 and c.
+fn cell_coverage(slot: u32, c: vec2<i32>) -> vec4<f32> {
+    if (clipmap.layers[HEIGHTS].covered == 1u) { return vec4<f32>(1.0); }
     let at = c + HEIGHT_BORDER;
     let layer = i32(slot);
-    return bilinear(
+    return vec4<f32>(
         textureLoad(coverage_atlas, at - 1, layer, 0).x, textureLoad(coverage_atlas, at + vec2<i32>(0, -1), layer, 0).x,
-        textureLoad(coverage_atlas, at + vec2<i32>(-1, 0), layer, 0).x, textureLoad(coverage_atlas, at, layer, 0).x, way);
+        textureLoad(coverage_atlas, at + vec2<i32>(-1, 0), layer, 0).x, textureLoad(coverage_atlas, at, layer, 0).x);
 }
 
-// Whether the surface exists at a place in the cell between samples c - 1 and c.
-fn is_solid(slot: u32, c: vec2<i32>, way: vec2<f32>) -> bool {
-    return clipmap.layers[HEIGHTS].covered == 1u || cell_coverage(slot, c, way) >= 0.5;
+// Whether the surface exists at a place in a cell.
+fn is_solid(cover: vec4<f32>, way: vec2<f32>) -> bool {
+    return bilinear(cover.x, cover.y, cover.z, cover.w, way) >= 0.5;
 }
 
 // Whether terrain stands between a camera-relative position on the ground and the sky in a direction. What was drawn may

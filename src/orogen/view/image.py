@@ -31,7 +31,7 @@ def write_color(path: str | os.PathLike[str], color: NDArray[np.uint8], overwrit
     info = PngInfo()
     info.add(b"sRGB", b"\0")
     with publish(path, COLOR_SUFFIXES, overwrite) as temporary:
-        Image.fromarray(color).save(temporary, format="PNG", compress_level=4, pnginfo=info)
+        Image.fromarray(color).save(temporary, format="PNG", compress_level=3, pnginfo=info)
 
 
 def write_depth(path: str | os.PathLike[str], depth: NDArray[np.floating], overwrite: bool = False) -> None:
