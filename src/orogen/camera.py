@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class Camera:
         if self.orthographic is not None and not (math.isfinite(self.orthographic) and self.orthographic > 0):
             raise SettingsError(f"camera orthographic: expected a height above 0 metres, got {self.orthographic:g}")
 
-    @property
+    @cached_property
     def basis(self) -> NDArray[np.float64]:
         """3 x 3: the rows are the unit vectors right, up and forward in (east, north, up)."""
         h, p, r = (math.radians(a) for a in (self.heading, self.pitch, self.roll))

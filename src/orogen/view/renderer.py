@@ -214,9 +214,9 @@ class Renderer:
         depth: Readback | None = None
         record_time = 0.0
         for jitter in jitters(samples):
-            start = time.perf_counter()
+            start = time.thread_time()
             self._submit_sample(_moved(frame, jitter), surface, light, style)
-            record_time = time.perf_counter() - start
+            record_time = time.thread_time() - start
             depth = depth or surface.read("depth")
         assert depth is not None
         return depth, record_time

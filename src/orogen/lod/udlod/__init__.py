@@ -24,6 +24,9 @@ FINEST_QUAD = 64
 """A texel is split into at most this many quads a side: below that the bilinear surface is flat to a thousandth."""
 
 _GROUPS = "max-compute-workgroups-per-dimension"
+_WATCHED = 8
+"""Every so many frames the tile count is read back: that costs as much as an eighth of recording a frame."""
+
 _STATE = np.dtype([(name, "u4") for name in ("parents", "children", "finals", "backwards", "overflow", "tiles")])
 _BLOCK = np.dtype(
     [
@@ -81,8 +84,13 @@ class View(AlgorithmView):
         self._state = gpu.buffer("udlod state", _STATE.itemsize, "STORAGE|COPY_SRC", "udlod")
         self._dispatch = gpu.buffer("udlod dispatch", 12, "STORAGE|INDIRECT", "udlod")
         self._draw = gpu.buffer("udlod draw", 16, "STORAGE|INDIRECT", "udlod")
+        self._arguments_group = gpu.bind(
+            "udlod arguments", algorithm.arguments_layout, {0: self._dispatch, 1: self._draw}
+        )
         self._written: bytes = b""
         self._watch: tuple[int, Readback] | None = None
+        self._frames = 0
+        self._fits = False
         self._grow(algorithm.settings.tile_capacity)
 
     def _grow(self, capacity: int) -> None:
@@ -93,13 +101,8 @@ class View(AlgorithmView):
         temporary = gpu.buffer("udlod temporary tiles", 24 * capacity, "STORAGE", "udlod")
         tiles = gpu.buffer("udlod tiles", 12 * capacity, "STORAGE", "udlod")
         self._capacity = capacity
-        self._refine_group = gpu.bind(
-            "udlod refine", algorithm.refine_layout, {0: self._block, 1: self._state, 2: temporary, 3: tiles}
-        )
-        self._prepare_group = gpu.bind(
-            "udlod prepare",
-            algorithm.prepare_layout,
-            {0: self._block, 1: self._state, 2: temporary, 3: self._dispatch, 4: self._draw},
+        self._lists_group = gpu.bind(
+            "udlod lists", algorithm.lists_layout, {0: self._block, 1: self._state, 2: temporary, 3: tiles}
         )
         self._vertex_group = gpu.bind("udlod tiles", algorithm.module.layout, {0: self._block, 1: tiles})
 
@@ -113,18 +116,19 @@ class View(AlgorithmView):
             algorithm.clipmap.gpu.write(self._block, block)
         run = timer.compute_pass(encoder, "refine")
         run.set_bind_group(0, view.bind_group)
+        run.set_bind_group(1, self._lists_group)
+        # refining does not read group 2: what it takes its arguments from must not be bound for writing
+        run.set_bind_group(2, self._arguments_group)
         run.set_pipeline(algorithm.prepare_root)
-        run.set_bind_group(1, self._prepare_group)
         run.dispatch_workgroups(1)
         for level in range(int(block["root_level"]), -1, -1):
             run.set_pipeline(algorithm.refine)
-            run.set_bind_group(1, self._refine_group)
             run.dispatch_workgroups_indirect(self._dispatch.raw, 0)
             run.set_pipeline(algorithm.prepare_next if level else algorithm.prepare_render)
-            run.set_bind_group(1, self._prepare_group)
             run.dispatch_workgroups(1)
         run.end()
-        if self._watch is None:
+        self._frames += 1
+        if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits):
             self._watch = self._capacity, algorithm.clipmap.gpu.read_buffer(self._state, encoder=encoder)
         return [Patches(algorithm.module, self._vertex_group, self._draw)]
 
@@ -133,7 +137,8 @@ class View(AlgorithmView):
         if self._watch is None or not self._watch[1].ready():
             return
         (capacity, state), self._watch = self._watch, None
-        if state.result().view(_STATE)[0]["overflow"] and capacity == self._capacity:
+        self._fits = not state.result().view(_STATE)[0]["overflow"]
+        if not self._fits and capacity == self._capacity:
             try:
                 self._grow(2 * capacity)
             except BudgetError as error:
@@ -166,8 +171,8 @@ class Udlod(Algorithm):
         gpu = clipmap.gpu
         storage = ("COMPUTE", "storage")
         uniform = ("COMPUTE", "uniform")
-        self.refine_layout = gpu.layout("udlod refine", {0: uniform, 1: storage, 2: storage, 3: storage})
-        self.prepare_layout = gpu.layout("udlod prepare", {0: uniform, 1: storage, 2: storage, 3: storage, 4: storage})
+        self.lists_layout = gpu.layout("udlod lists", {0: uniform, 1: storage, 2: storage, 3: storage})
+        self.arguments_layout = gpu.layout("udlod arguments", {0: storage, 1: storage})
         stages = "VERTEX|COMPUTE"
         self.module = Module(
             FOLDER / "vertex.wgsl", gpu.layout("udlod tiles", {0: (stages, "uniform"), 1: (stages, "read")})
@@ -175,8 +180,8 @@ class Udlod(Algorithm):
         search = [FOLDER, *SEARCH]
         refine = gpu.shader("udlod refine", FOLDER / "refine.wgsl", search=search, constants=clipmap.constants)
         prepare = gpu.shader("udlod prepare", FOLDER / "prepare.wgsl", search=search, constants=clipmap.constants)
-        self.refine = gpu.compute("udlod refine", refine, "refine_tiles", [clipmap.layout, self.refine_layout])
-        layouts = [clipmap.layout, self.prepare_layout]
+        self.refine = gpu.compute("udlod refine", refine, "refine_tiles", [clipmap.layout, self.lists_layout])
+        layouts = [clipmap.layout, self.lists_layout, self.arguments_layout]
         self.prepare_root = gpu.compute("udlod root", prepare, "prepare_root", layouts)
         self.prepare_next = gpu.compute("udlod next", prepare, "prepare_next", layouts)
         self.prepare_render = gpu.compute("udlod render", prepare, "prepare_render", layouts)

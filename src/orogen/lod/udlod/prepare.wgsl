@@ -7,8 +7,8 @@ struct DrawArguments { vertices: u32, instances: u32, first_vertex: u32, first_i
 
 @group(1) @binding(1) var<storage, read_write> state: State;
 @group(1) @binding(2) var<storage, read_write> temporary_tiles: array<Tile>;
-@group(1) @binding(3) var<storage, read_write> dispatch: Arguments;
-@group(1) @binding(4) var<storage, read_write> draw: DrawArguments;
+@group(2) @binding(0) var<storage, read_write> dispatch: Arguments;
+@group(2) @binding(1) var<storage, read_write> draw: DrawArguments;
 
 @compute @workgroup_size(1)
 fn prepare_root() {
