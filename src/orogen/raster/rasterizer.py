@@ -37,6 +37,17 @@ class Rasterizer:
         self, encoder: Any, timer: FrameTimer, draws: Sequence[Draw], view: ClipmapView, surface: Surface
     ) -> None:
         """Clear the surface and draw into it; the nearest surface wins, whatever drew it."""
+        rays = [draw for draw in draws if isinstance(draw, Rays)]
+        patches = [draw for draw in draws if isinstance(draw, Patches)]
+        # rays alone need no clearing: that costs more than they do
+        if patches or not rays:
+            self._draw_patches(encoder, timer, patches, view, surface)
+        for number, draw in enumerate(rays):
+            self._cast(encoder, timer, draw, view, surface, first=not patches and number == 0)
+
+    def _draw_patches(
+        self, encoder: Any, timer: FrameTimer, patches: Sequence[Patches], view: ClipmapView, surface: Surface
+    ) -> None:
         clear = {"load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
         run = timer.render_pass(
             encoder,
@@ -48,33 +59,31 @@ class Rasterizer:
             },
         )  # fmt: skip
         run.set_bind_group(0, view.bind_group)
-        for draw in draws:
-            if isinstance(draw, Patches):
-                run.set_pipeline(self._patch_pipeline(draw))
-                run.set_bind_group(1, draw.group or self._empty_group)
-                run.draw_indirect(draw.indirect.raw, 0)
+        for draw in patches:
+            run.set_pipeline(self._patch_pipeline(draw))
+            run.set_bind_group(1, draw.group or self._empty_group)
+            run.draw_indirect(draw.indirect.raw, 0)
         run.end()
-        for draw in draws:
-            if isinstance(draw, Rays):
-                self._cast(encoder, timer, draw, view, surface)
 
-    def _cast(self, encoder: Any, timer: FrameTimer, draw: Rays, view: ClipmapView, surface: Surface) -> None:
+    def _cast(
+        self, encoder: Any, timer: FrameTimer, draw: Rays, view: ClipmapView, surface: Surface, *, first: bool
+    ) -> None:
         width, height = surface.size
         run = timer.compute_pass(encoder, "rays")
-        run.set_pipeline(self._ray_pipeline(draw))
+        run.set_pipeline(self._ray_pipeline(draw, first))
         run.set_bind_group(0, view.bind_group)
         run.set_bind_group(1, draw.group or self._empty_group)
         run.set_bind_group(2, surface.write_group)
         run.dispatch_workgroups(-(-width // _TILE), -(-height // _TILE))
         run.end()
 
-    def _shader(self, module: Module, main: Path) -> Any:
+    def _shader(self, module: Module, main: Path, **constants: bool) -> Any:
         return self._clipmap.gpu.shader(
             f"{module.path.parent.name} {main.stem}",
             module.path,
             main,
             search=[FOLDER, *SEARCH],
-            constants={**self._clipmap.constants, **module.constants},
+            constants={**self._clipmap.constants, **module.constants, **constants},
         )
 
     def _patch_pipeline(self, draw: Patches) -> Any:
@@ -92,12 +101,12 @@ class Rasterizer:
             )
         return self._pipelines[key]
 
-    def _ray_pipeline(self, draw: Rays) -> Any:
-        key = (draw.module.path, tuple(draw.module.constants.items()), "rays")
+    def _ray_pipeline(self, draw: Rays, first: bool) -> Any:
+        key = (draw.module.path, tuple(draw.module.constants.items()), first)
         if key not in self._pipelines:
             self._pipelines[key] = self._clipmap.gpu.compute(
                 f"{draw.module.path.parent.name} rays",
-                self._shader(draw.module, FOLDER / "rays.wgsl"),
+                self._shader(draw.module, FOLDER / "rays.wgsl", FIRST=first),
                 "cast_rays",
                 [self._clipmap.layout, draw.module.layout or self._empty_layout, self._write_layout],
             )

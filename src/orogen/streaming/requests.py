@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ class LayerGrid:
         """Nodes of all levels."""
         return sum(int(np.prod(self.nodes(level))) for level in range(self.level_count))
 
-    @property
+    @cached_property
     def stretch(self) -> float:
         """Nodes along a row or column, whichever is more, that the mean side of a node spans: 1 for square texels."""
         to_texels = np.linalg.inv(self.grid.metres)

@@ -121,11 +121,15 @@ class View(AlgorithmView):
         run.set_bind_group(2, self._arguments_group)
         run.set_pipeline(algorithm.prepare_root)
         run.dispatch_workgroups(1)
-        for level in range(int(block["root_level"]), -1, -1):
+        for _ in range(passes(frame, block) - 1):
             run.set_pipeline(algorithm.refine)
             run.dispatch_workgroups_indirect(self._dispatch.raw, 0)
-            run.set_pipeline(algorithm.prepare_next if level else algorithm.prepare_render)
+            run.set_pipeline(algorithm.prepare_next)
             run.dispatch_workgroups(1)
+        run.set_pipeline(algorithm.refine)
+        run.dispatch_workgroups_indirect(self._dispatch.raw, 0)
+        run.set_pipeline(algorithm.prepare_render)
+        run.dispatch_workgroups(1)
         run.end()
         self._frames += 1
         if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits):
@@ -189,6 +193,15 @@ class Udlod(Algorithm):
     def view(self) -> View:
         """State for one more view."""
         return View(self)
+
+
+def passes(frame: Frame, block: np.ndarray) -> int:
+    """How many levels, from the root's on, can have tiles: none is nearer to the LOD eye than the ground under it."""
+    above = abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
+    root_level = int(block["root_level"])
+    # a tile of level l is split within split_distance 2^(l - 1) of the eye, give or take rounding
+    split = [above < 1.001 * float(block["split_distance"]) * 2.0 ** (level - 1) for level in range(root_level, 0, -1)]
+    return 1 + (split.index(False) if False in split else root_level)
 
 
 def lattice(frame: Frame, settings: Settings, capacity: int) -> np.ndarray:
