@@ -24,5 +24,5 @@ fn write_vertices(@builtin(global_invocation_id) id: vec3<u32>) {
     let v = lod_vertex(index % drawn[0], instance);
     let position = lift(flat_position(v.point), v.height);
     let offset = vec2<f32>(v.point.cell - frame.anchor) + v.point.frac;
-    written[index] = Written(position, v.height, offset, v.grid, v.id, v.level, v.tile_level, instance);
+    written[index] = Written(position, v.height, offset, v.lines.xy, v.id, v.level, v.tile_level, instance);
 }

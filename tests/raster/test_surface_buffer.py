@@ -74,6 +74,63 @@ def test_terrain_by_patches_and_by_rays_share_a_picture(scene: Scene) -> None:
     assert 0 < (both["depth"] == one["depth"]).mean() < 1
 
 
+def test_index_lists_and_several_arguments_in_a_buffer(gpu: Gpu, scene: Scene) -> None:
+    frame = scene.frame(scene.camera(40, 50, 500, pitch=-60))
+    strip = plate(gpu, 20, 120, 9)
+    index = gpu.buffer("index", np.array([7, 7, 0, 1, 2, 2, 1, 3], np.uint32), "INDEX", "test")
+    arguments = np.array([0, 0, 0, 0, 0, 6, 1, 2, 0, 0, 3, 1, 2, 0, 0], np.uint32)
+    indirect = gpu.buffer("arguments", arguments, "INDIRECT", "test")
+    whole = Patches(strip.module, None, indirect, topology="triangle-list", index=index, offset=20)
+    half = Patches(strip.module, None, indirect, topology="triangle-list", index=index, offset=40)
+    expected = scene.raster(frame, [strip])
+    assert (expected["depth"] > 0).mean() > 0.1
+    for name, values in scene.raster(frame, [whole]).items():
+        np.testing.assert_array_equal(values, expected[name])
+    first = scene.raster(frame, [half])["depth"]
+    assert 0.2 < (first > 0).sum() / (expected["depth"] > 0).sum() < 0.8
+    np.testing.assert_array_equal(first[first > 0], expected["depth"][first > 0])
+    gap = Patches(strip.module, None, indirect, topology="triangle-list", index=index)
+    assert (scene.raster(frame, [gap])["depth"] == 0).all()
+
+
+def test_what_is_drawn_later_is_added(gpu: Gpu, scene: Scene) -> None:
+    frame = scene.frame(scene.camera(40, 50, 500, pitch=-35))
+    draws: list[Draw] = [plate(gpu, 0, 200, 1), plate(gpu, 150, 50, 2), plane(90, 3)]
+    together = scene.raster(frame, draws)
+    surface = scene.rasterizer.surface(frame.size)
+    encoder = gpu.encoder("raster")
+    for number, draw in enumerate(draws):
+        scene.rasterizer.record(encoder, scene.timer, [draw], scene.view, surface, clear=number == 0)
+    scene.rasterizer.record(encoder, scene.timer, [], scene.view, surface, clear=False)
+    gpu.submit(encoder)
+    for name, values in together.items():
+        np.testing.assert_array_equal(surface.read(name).result(), values)
+    surface.destroy()
+
+
+def test_rays_replace_where_they_are_asked_to(gpu: Gpu, scene: Scene) -> None:
+    frame = scene.frame(scene.camera(40, 50, 500, pitch=-35))
+    near, far = plate(gpu, 150, 150, 1), plane(20, 3)
+    before, alone = scene.raster(frame, [near]), scene.raster(frame, [far])
+    module = Module(HERE / "replacing_plane.wgsl", constants={"HEIGHT": 20.0, "ID": 3, "OF": 1})
+    after = scene.raster(frame, [near, Rays(module, replace=True)])
+    asked = (before["id"] == 1) & (np.arange(frame.size[0]) % 2 == 1)
+    assert asked.sum() > 500
+    for name, values in after.items():
+        np.testing.assert_array_equal(values, np.where(asked, alone[name], before[name]))
+
+
+def test_fragments_outside_the_data_are_left_out(gpu: Gpu, scene: Scene) -> None:
+    frame = scene.frame(scene.camera(40, 30, 800, pitch=-90))
+    inside = scene.raster(frame, [plate(gpu, 50, 50, 1)])["depth"]
+    module = Module(HERE / "overhang.wgsl", constants={"HEIGHT": 50.0, "ID": 1, "BY": 5000})
+    wide = Patches(module, None, gpu.buffer("plate", np.array([4, 1, 0, 0], np.uint32), "INDIRECT", "test"))
+    drawn = scene.raster(frame, [wide])["depth"]
+    assert 0.05 < (inside > 0).mean() < 0.95
+    assert ((drawn > 0) != (inside > 0)).sum() == 0
+    np.testing.assert_allclose(drawn, inside, rtol=1e-6)
+
+
 def test_nothing_drawn_is_sky(scene: Scene) -> None:
     frame = scene.frame(scene.camera(40, 50, 500, pitch=-90))
     scene.draw(frame, scene.algorithm("raycast"))

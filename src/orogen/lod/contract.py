@@ -11,10 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from orogen.frame import Frame
-from orogen.gpu import Buffer, FrameTimer
+from orogen.gpu import Buffer, FrameTimer, Texture
 from orogen.keys import NodeKey
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
@@ -46,6 +46,11 @@ class Patches:
     """Arguments of an indirect draw: vertices per patch, patches, 0, 0."""
     topology: str = "triangle-strip"
     """WebGPU topology of a patch's vertices."""
+    index: Buffer | None = None
+    """List of u32 vertex numbers; with one the arguments are those of an indexed draw: indices per patch, patches,
+    first index, number added to all indices, 0."""
+    offset: int = 0
+    """Bytes before the arguments in `indirect`, a multiple of 4."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,9 @@ class Rays:
     """Ray function."""
     group: Any = None
     """Bind group 1; None where the module has no layout."""
+    replace: bool = False
+    """Cast rays only where the module's `fn lod_replaces(pixel: vec2<u32>, depth: f32, id: u32, detail: u32) -> bool`,
+    given what was drawn there, is true; what they find replaces that, nearer or not."""
 
 
 Draw = Patches | Rays
@@ -78,16 +86,55 @@ class Statistics:
     """Rays that were cast."""
 
 
+@dataclass(frozen=True)
+class Detail:
+    """The setting that makes an algorithm's geometry finer or coarser, everything else being equal."""
+
+    setting: str
+    """Name of a numeric setting."""
+    finest: float
+    """Its value for the most triangles that make sense."""
+    coarsest: float
+    """Its value for the fewest."""
+
+
+class Pages(Protocol):
+    """Data of an algorithm's own that is loaded as it is needed; `AlgorithmView.wants` asks for it."""
+
+    @property
+    def pending(self) -> int:
+        """Wanted pages that are still to come."""
+
+    def pump(self, budget: int) -> int:
+        """Upload loaded pages of at most `budget` bytes (one at least); returns the bytes uploaded."""
+
+    def settle(self) -> None:
+        """Load until every wanted page that fits is resident."""
+
+    def close(self) -> None:
+        """Stop loading and give the memory back."""
+
+
 class AlgorithmView(ABC):
     """An algorithm at work for one view; its state outlives a frame."""
 
     def wants(self, frame: Frame) -> Sequence[NodeKey]:
-        """Nodes that the algorithm needs beside those that the clipmap loads for the frame."""
+        """Nodes that the algorithm needs beside those that the clipmap loads for the frame.
+
+        Also where it asks `Algorithm.pages` for what it needs of its own data.
+        """
         return ()
 
     @abstractmethod
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Record the frame's GPU work and say what is to be drawn. `view` has been updated for the frame."""
+
+    def drawn(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView, depth: Texture) -> Sequence[Draw]:
+        """What to add after the draws of `record` have been executed.
+
+        `depth`: the surface buffer's reverse-z depth (r32float, the frame's size), which compute passes may read.
+        """
+        return ()
 
     @abstractmethod
     def statistics(self) -> Statistics:
@@ -105,6 +152,10 @@ class Algorithm(ABC):
     """The name of its folder."""
     Settings: ClassVar[type]
     """Frozen dataclass of its settings, with a docstring under every field; its defaults are good ones."""
+    detail: ClassVar[Detail | None] = None
+    """How its triangles become more or fewer; None where it has no such setting."""
+    pages: Pages | None = None
+    """Its own data, beside the clipmap's; None where it has none."""
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         self.clipmap = clipmap

@@ -5,7 +5,7 @@
 struct Corner {
     @invariant @builtin(position) position: vec4<f32>,
     @location(0) offset: vec2<f32>,                       // subtexels from the anchor
-    @location(1) grid: vec2<f32>,
+    @location(1) lines: vec4<f32>,
     @location(2) @interpolate(flat, either) words: vec3<u32>,   // id, level of the data, level of the tile
 }
 
@@ -20,21 +20,28 @@ fn corner(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instance:
     let v = lod_vertex(vertex, instance);
     let position = lift(flat_position(v.point), v.height);
     let offset = vec2<f32>(v.point.cell - frame.anchor) + v.point.frac;
-    return Corner(frame.view_projection * vec4<f32>(position, 1.0), offset, v.grid, vec3<u32>(v.id, v.level, v.tile_level));
+    return Corner(frame.view_projection * vec4<f32>(position, 1.0), offset, v.lines, vec3<u32>(v.id, v.level, v.tile_level));
 }
 
-// Pixels to the nearest edge of the grid's triangles.
-fn edge_distance(grid: vec2<f32>) -> f32 {
-    let lines = vec3<f32>(grid, grid.x + grid.y);
+// Pixels to the nearest edge of the triangles.
+fn edge_distance(lines: vec4<f32>) -> f32 {
     let dx = dpdx(lines);
     let dy = dpdy(lines);
-    let away = abs(fract(lines + 0.5) - 0.5) / max(sqrt(dx * dx + dy * dy), vec3<f32>(1e-6));
-    return min(away.x, min(away.y, away.z));
+    let away = abs(fract(lines + 0.5) - 0.5) / max(sqrt(dx * dx + dy * dy), vec4<f32>(1e-6));
+    return min(min(away.x, away.y), min(away.z, away.w));
+}
+
+// Whether an offset from the anchor lies outside the data, by more than its rounding.
+fn outside(offset: vec2<f32>) -> bool {
+    let slack = 0.25 + 1e-6 * abs(offset);
+    let low = vec2<f32>(frame.extent.xy - frame.anchor) - slack;
+    let high = vec2<f32>(frame.extent.zw - frame.anchor) + slack;
+    return any(offset < low) || any(offset > high);
 }
 
 @fragment
 fn surface(in: Corner) -> SurfaceTexel {
-    let edge = edge_distance(in.grid);
-    if (coverage_at(point_at(in.offset)) < 0.5) { discard; }
+    let edge = edge_distance(in.lines);
+    if (outside(in.offset) || coverage_at(point_at(in.offset)) < 0.5) { discard; }
     return SurfaceTexel(in.position.z, in.words.x, pack_detail(in.words.y, in.words.z, edge));
 }

@@ -34,27 +34,41 @@ class Rasterizer:
         return Surface(self._clipmap.gpu, size, self.read_layout, self._write_layout)
 
     def record(
-        self, encoder: Any, timer: FrameTimer, draws: Sequence[Draw], view: ClipmapView, surface: Surface
+        self,
+        encoder: Any,
+        timer: FrameTimer,
+        draws: Sequence[Draw],
+        view: ClipmapView,
+        surface: Surface,
+        *,
+        clear: bool = True,
     ) -> None:
-        """Clear the surface and draw into it; the nearest surface wins, whatever drew it."""
+        """Draw into the surface, cleared first unless `clear` is off; the nearest surface wins, whatever drew it."""
         rays = [draw for draw in draws if isinstance(draw, Rays)]
         patches = [draw for draw in draws if isinstance(draw, Patches)]
         # rays alone need no clearing: that costs more than they do
-        if patches or not rays:
-            self._draw_patches(encoder, timer, patches, view, surface)
+        if patches or (clear and not rays):
+            self._draw_patches(encoder, timer, patches, view, surface, clear)
         for number, draw in enumerate(rays):
-            self._cast(encoder, timer, draw, view, surface, first=not patches and number == 0)
+            self._cast(encoder, timer, draw, view, surface, first=clear and not patches and number == 0)
 
     def _draw_patches(
-        self, encoder: Any, timer: FrameTimer, patches: Sequence[Patches], view: ClipmapView, surface: Surface
+        self,
+        encoder: Any,
+        timer: FrameTimer,
+        patches: Sequence[Patches],
+        view: ClipmapView,
+        surface: Surface,
+        clear: bool,
     ) -> None:
-        clear = {"load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
+        load = "clear" if clear else "load"
+        color = {"load_op": load, "store_op": "store", "clear_value": (0, 0, 0, 0)}
         run = timer.render_pass(
             encoder,
             "raster",
-            color_attachments=[{"view": texture.view(), **clear} for texture in surface.targets.values()],
+            color_attachments=[{"view": texture.view(), **color} for texture in surface.targets.values()],
             depth_stencil_attachment={
-                "view": surface.z.view(), "depth_load_op": "clear", "depth_store_op": "discard",
+                "view": surface.z.view(), "depth_load_op": load, "depth_store_op": "store",
                 "depth_clear_value": 0.0,
             },
         )  # fmt: skip
@@ -62,7 +76,11 @@ class Rasterizer:
         for draw in patches:
             run.set_pipeline(self._patch_pipeline(draw))
             run.set_bind_group(1, draw.group or self._empty_group)
-            run.draw_indirect(draw.indirect.raw, 0)
+            if draw.index is None:
+                run.draw_indirect(draw.indirect.raw, draw.offset)
+            else:
+                run.set_index_buffer(draw.index.raw, "uint32")
+                run.draw_indexed_indirect(draw.indirect.raw, draw.offset)
         run.end()
 
     def _cast(
@@ -77,11 +95,12 @@ class Rasterizer:
         run.dispatch_workgroups(-(-width // _TILE), -(-height // _TILE))
         run.end()
 
-    def _shader(self, module: Module, main: Path, **constants: bool) -> Any:
+    def _shader(self, module: Module, main: Path, *parts: Path, **constants: bool) -> Any:
         return self._clipmap.gpu.shader(
             f"{module.path.parent.name} {main.stem}",
             module.path,
             main,
+            *parts,
             search=[FOLDER, *SEARCH],
             constants={**self._clipmap.constants, **module.constants, **constants},
         )
@@ -102,11 +121,12 @@ class Rasterizer:
         return self._pipelines[key]
 
     def _ray_pipeline(self, draw: Rays, first: bool) -> Any:
-        key = (draw.module.path, tuple(draw.module.constants.items()), first)
+        key = (draw.module.path, tuple(draw.module.constants.items()), first, draw.replace)
         if key not in self._pipelines:
+            chosen = FOLDER / ("replace.wgsl" if draw.replace else "everywhere.wgsl")
             self._pipelines[key] = self._clipmap.gpu.compute(
                 f"{draw.module.path.parent.name} rays",
-                self._shader(draw.module, FOLDER / "rays.wgsl", FIRST=first),
+                self._shader(draw.module, FOLDER / "rays.wgsl", chosen, FIRST=first, REPLACE=draw.replace),
                 "cast_rays",
                 [self._clipmap.layout, draw.module.layout or self._empty_layout, self._write_layout],
             )

@@ -206,6 +206,8 @@ class ClipmapView:
         self._starts: list[int] = []
         self._table: Buffer | None = None
         self._bounds: Buffer | None = None
+        self._drawn_bounds = np.zeros((0, 1, 1, 2), np.float32)
+        self._height_origins: list[tuple[int, int]] = []
         self._written_tables: Any = None
         self._written_block: Any = None
         self.bind_group: Any = None
@@ -254,6 +256,33 @@ class ClipmapView:
             self._written_block = block
         self.clipmap.gpu.write(self._frame_buffer, blocks.frame_block(frame))
 
+    def drawn_bounds(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Lowest and highest height (m) that may be drawn between samples, (n, 2), after `update`.
+
+        `low`, `high`: (n, 2) columns and rows of the first and last level-0 sample of each of n rectangles. The twin of
+        `bounds_over` in clipmap.wgsl, at the level whose nodes are as wide as the wider side or the next wider.
+        """
+        layer = self.clipmap.heights.grid
+        last = np.array([layer.grid.width, layer.grid.height]) - 1
+        low, high = np.clip(low, 0, last).astype(np.int64), np.clip(high, 0, last).astype(np.int64)
+        side = 1 << self._bits[0]
+        origins = np.array(self._height_origins)[:, ::-1]
+        wide = np.maximum((high - low).max(axis=1), 1)
+        level = np.ceil(np.log2(wide / layer.node_size)).clip(0, layer.level_count - 1).astype(np.int64)
+        while True:
+            first, stop = low // (layer.node_size << level)[:, None], high // (layer.node_size << level)[:, None]
+            inside = ((first >= origins[level]) & (stop < origins[level] + side)).all(axis=1)
+            beyond = ~inside & (level < layer.level_count - 1)
+            if not beyond.any():
+                break
+            level = level + beyond
+        result = np.tile(np.array([np.inf, -np.inf], np.float32), (len(level), 1))
+        for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            node = np.minimum(first + step, stop) & (side - 1)
+            found = self._drawn_bounds[level, node[:, 1], node[:, 0]]
+            result = np.stack([np.minimum(result[:, 0], found[:, 0]), np.maximum(result[:, 1], found[:, 1])], axis=1)
+        return result
+
     def close(self) -> None:
         """Use `Clipmap.drop`."""
         for buffer in (self._frame_buffer, self._block_buffer, self._table, self._bounds):
@@ -297,6 +326,7 @@ class ClipmapView:
             clipmap.gpu.write(self._table, table, 4 * self._starts[i])
             if layer.is_height:
                 clipmap.gpu.write(self._bounds, bounds)
+                self._drawn_bounds, self._height_origins = bounds, origins[i]
 
     def _write_block(self, frame: Frame, origins: list[list[tuple[int, int]]], view: float) -> None:
         block = np.zeros((), blocks.CLIPMAP)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from orogen.frame import Frame
 from orogen.grid import Grid
 from orogen.keys import NodeKey
+from orogen.streaming.boxes import may_be_seen, nearest_square
 
 _MARGIN = 16
 """Texels of a node's level by which its box is widened for the frustum test: triangles reach that far over the rim of
@@ -94,18 +95,7 @@ class _Nodes:
         """Distance of the LOD eye to the nearest point of the nodes, on the approximate ground."""
         side = float(self._layer.node_size << level)
         low = np.stack([cols, rows], axis=-1) * side - self._lod_texel
-        high = low + side
-        # squared metres are a quadratic form in texels, with a mixed term on sheared grids: the nearest point need not
-        # be the nearest one in texels, but it lies on one of the four edges unless the eye is over the node
-        form = self._metres.T @ self._metres
-        square = np.where(((low <= 0) & (high >= 0)).all(axis=-1), 0.0, np.inf)
-        for axis, other in ((0, 1), (1, 0)):
-            for edge in (low, high):
-                fixed = edge[..., axis]
-                free = np.clip(-fixed * form[0, 1] / form[other, other], low[..., other], high[..., other])
-                there = form[axis, axis] * fixed**2 + 2 * form[0, 1] * fixed * free + form[other, other] * free**2
-                square = np.minimum(square, there)
-        return np.sqrt(square + self._above**2)
+        return np.sqrt(nearest_square(self._metres, low, low + side) + self._above**2)
 
     def in_frustum(
         self, level: int, rows: NDArray, cols: NDArray, low: NDArray, high: NDArray, planes: NDArray
@@ -116,11 +106,4 @@ class _Nodes:
         centre = (np.stack([cols, rows], axis=-1) + 0.5) * side
         flat = (centre - self._eye) @ self._metres.T
         axes = self._metres * (0.5 * side + (_MARGIN << level))
-        farthest = np.linalg.norm(flat, axis=-1) + np.linalg.norm(axes, axis=0).sum()
-        top = high * frame.exaggeration - frame.camera.z
-        bottom = low * frame.exaggeration - frame.camera.z - frame.curvature_factor * farthest**2
-        inside = np.ones(rows.shape, bool)
-        for plane in planes:
-            reach = np.abs(plane[:2] @ axes).sum() + np.maximum(plane[2] * bottom, plane[2] * top)
-            inside &= flat @ plane[:2] + reach + plane[3] >= 0
-        return inside
+        return may_be_seen(frame, planes, flat, axes, low, high)

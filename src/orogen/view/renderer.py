@@ -113,7 +113,10 @@ class Renderer:
 
     def use(self, name: str, settings: Mapping[str, Any] | None = None) -> None:
         """Change the algorithm; resident nodes stay."""
-        self.algorithm = algorithm(name)(self.clipmap, make_settings(name, settings or {}))
+        following = algorithm(name)(self.clipmap, make_settings(name, settings or {}))
+        if self.algorithm.pages:
+            self.algorithm.pages.close()
+        self.algorithm = following
         self._state = self.algorithm.view()
         self._shown = ()
 
@@ -137,6 +140,8 @@ class Renderer:
         self.view.want(frame)
         self._want_more(frame)
         self.clipmap.settle()
+        if self.algorithm.pages:
+            self.algorithm.pages.settle()
         frame = self.view.frame_for(frame)
         surface, light = self._targets_for(size)
         depth, record_time = self._draw(frame, surface, light, style, samples)
@@ -164,6 +169,8 @@ class Renderer:
         self.view.want(frame)
         self._want_more(frame)
         uploaded = self.clipmap.pump()
+        if self.algorithm.pages:
+            uploaded += self.algorithm.pages.pump(self.clipmap.settings.upload_budget)
         frame = self.view.frame_for(frame)
         surface, light = self._targets_for(size)
         shown = (camera, size, style, scene, frame.height_range)
@@ -175,7 +182,8 @@ class Renderer:
         encoder = self.gpu.encoder("resolve")
         self.shading.resolve(encoder, self.timer, light, view, style)
         self.gpu.submit(encoder)
-        return bool(self.clipmap.pending) or light.count < STILL_SAMPLES
+        pending = self.clipmap.pending + (self.algorithm.pages.pending if self.algorithm.pages else 0)
+        return bool(pending) or light.count < STILL_SAMPLES
 
     def pick(self, column: int, row: int) -> tuple[float, float, float] | None:
         """x, y in the data's CRS and height (m) of what the last picture shows at a pixel; None for the sky."""
@@ -196,6 +204,8 @@ class Renderer:
         if self._targets:
             for target in self._targets:
                 target.destroy()
+        if self.algorithm.pages:
+            self.algorithm.pages.close()
         self.clipmap.close()
 
     def _prepare(self, camera: Camera, size: tuple[int, int], scene: Scene) -> Frame:
@@ -231,6 +241,8 @@ class Renderer:
         encoder = self.gpu.encoder("frame")
         draws = self._state.record(encoder, self.timer, frame, self.view)
         self.rasterizer.record(encoder, self.timer, draws, self.view, surface)
+        added = self._state.drawn(encoder, self.timer, frame, self.view, surface.targets["depth"])
+        self.rasterizer.record(encoder, self.timer, added, self.view, surface, clear=False)
         self.shading.record(encoder, self.timer, frame, self.view.bind_group, surface.read_group, light, style)
         self.timer.resolve(encoder)
         self.gpu.submit(encoder)

@@ -13,7 +13,7 @@ import numpy as np
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
 from orogen.gpu import FrameTimer, Readback
-from orogen.lod.contract import Algorithm, AlgorithmView, Draw, Module, Patches, Statistics
+from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -169,6 +169,7 @@ class Udlod(Algorithm):
 
     name = "udlod"
     Settings = Settings
+    detail = Detail("pixels_per_quad", 0.5, 64.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)

@@ -36,5 +36,6 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     }
     p = clamp_to_extent(p);
     let id = (tile.level << 26u) ^ (tile.y << 13u) ^ tile.x;
-    return LodVertex(p, height_at(p), vec2<f32>(grid), id, resident_level(p, u32(lod_at(p))), tile.level);
+    let lines = vec4<f32>(vec2<f32>(grid), f32(grid.x + grid.y), 0.5);
+    return LodVertex(p, height_at(p), lines, id, resident_level(p, u32(lod_at(p))), tile.level);
 }

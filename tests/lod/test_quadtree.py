@@ -1,0 +1,179 @@
+"""Patches chosen on the CPU: cover, distances, visibility and neighbours, against maps of single samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lod.scene import SPACING, Scene, noise
+from orogen.frame import Frame
+from orogen.gpu import Gpu
+from orogen.lod.quadtree import Leaves, PatchFrame, PatchTree, neighbour_steps
+from orogen.streaming.clipmap import ClipmapView
+
+SIDE = 8
+ROWS, COLUMNS = 150, 219
+VIEWS: dict[str, dict[str, Any]] = {
+    "over": {"z": 900.0, "pitch": -50.0, "heading": 30.0},
+    "low": {"z": 90.0, "pitch": -5.0, "heading": 200.0},
+    "down": {"z": 400.0, "pitch": -90.0},
+    "rolled": {"z": 300.0, "pitch": -20.0, "heading": 80.0, "roll": 40.0},
+    "flat": {"z": 300.0, "pitch": -60.0, "orthographic": 700.0},
+}
+
+
+@pytest.fixture(scope="module")
+def heights() -> NDArray[np.float32]:
+    return noise(ROWS, COLUMNS, 80.0)
+
+
+@pytest.fixture(scope="module", params=["square", "sheared"])
+def scene(gpu: Gpu, heights: NDArray[np.float32], request: pytest.FixtureRequest) -> Iterator[Scene]:
+    metres = np.array([[9.0, 4.0], [2.0, -11.0]]) if request.param == "sheared" else None
+    with closing(Scene(gpu, heights, metres=metres)) as terrain:
+        yield terrain
+
+
+@pytest.fixture(params=VIEWS)
+def patches(scene: Scene, request: pytest.FixtureRequest) -> tuple[PatchFrame, Frame, ClipmapView]:
+    angles = dict(VIEWS[request.param])
+    frame = scene.frame(scene.camera(90, 80, angles.pop("z"), **angles))
+    return PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view), frame, scene.view
+
+
+def near(patches: PatchFrame, factor: float) -> Any:
+    """Split where a patch is nearer than so many of its sides."""
+    return lambda level, x, y: patches.distance(level, x, y) < factor * SPACING * (SIDE << level)
+
+
+def level_map(tree: PatchTree, leaves: Leaves) -> NDArray[np.int64]:
+    """Level of the leaf over every quad of samples, -1 where none is; fails where two overlap."""
+    quads = np.full((ROWS - 1, COLUMNS - 1), -1)
+    for level, (xs, ys) in enumerate(leaves):
+        for x, y in zip(xs.tolist(), ys.tolist(), strict=True):
+            side = SIDE << level
+            part = quads[y * side : (y + 1) * side, x * side : (x + 1) * side]
+            assert part.size
+            assert (part == -1).all()
+            part[:] = level
+    return quads
+
+
+def seen_samples(frame: Frame, heights: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which samples lie in the frustum."""
+    rows, columns = np.mgrid[:ROWS, :COLUMNS]
+    flat = (np.stack([columns, rows], axis=-1) + 0.5 - frame.eye) @ frame.grid.metres.T
+    points = np.concatenate([flat, heights[..., None] - frame.camera.z], axis=-1)
+    planes = frame.planes()
+    return (points @ planes[:, :3].T + planes[:, 3] >= 0).all(axis=-1)
+
+
+def test_the_top_patch_covers_the_data() -> None:
+    from orogen.grid import Grid
+
+    for width, height in ((1, 1), (9, 9), (10, 3), (1025, 1025), (1026, 2)):
+        tree = PatchTree(Grid(width, height, (1, 0, 0, 0, -1, 0)), SIDE)
+        assert tree.shape(tree.level_count - 1) == (1, 1)
+        assert SIDE << (tree.level_count - 1) >= max(width, height) - 1
+        assert tree.level_count == 1 or SIDE << (tree.level_count - 2) < max(width, height) - 1
+
+
+@pytest.mark.parametrize("restricted", [False, True])
+def test_leaves_cover_what_is_seen_once(patches: Any, heights: NDArray[np.float32], restricted: bool) -> None:
+    chosen, frame, _ = patches
+    leaves = chosen.select(near(chosen, 3.0), restricted=restricted)
+    levels = level_map(chosen.tree, leaves)
+    assert len(np.unique(levels)) >= 2
+    seen = seen_samples(frame, heights)
+    assert seen.sum() > 100
+    rows, columns = np.nonzero(seen)
+    # a sample belongs to the quads on either side
+    assert (levels[np.minimum(rows, ROWS - 2), np.minimum(columns, COLUMNS - 2)] >= 0).all()
+
+
+def test_restricted_leaves_differ_by_one_level(patches: Any) -> None:
+    chosen, _, _ = patches
+    # a decision that jumps: the finest level in a few places, the coarsest elsewhere
+    rng = np.random.default_rng(5)
+    fine = {(int(x), int(y)) for x, y in rng.integers(0, 20, (6, 2))}
+
+    def split(level: int, x: NDArray, y: NDArray) -> NDArray:
+        return np.array(
+            [any((fx >> level, fy >> level) == (a, b) for fx, fy in fine) for a, b in zip(x, y, strict=True)]
+        )
+
+    free = level_map(chosen.tree, chosen.select(split))
+    bound = level_map(chosen.tree, chosen.select(split, restricted=True))
+    assert ((bound <= free) | (bound == -1) | (free == -1)).all()
+    for axis in (0, 1):
+        steps = np.abs(np.diff(bound, axis=axis))
+        both = (np.minimum(bound[1:], bound[:-1]) if axis == 0 else np.minimum(bound[:, 1:], bound[:, :-1])) >= 0
+        assert steps[both].max(initial=0) <= 1
+
+
+def test_neighbours_are_told_how_much_coarser_the_other_side_is(patches: Any) -> None:
+    chosen, _, _ = patches
+    leaves = chosen.select(near(chosen, 2.0))
+    levels = level_map(chosen.tree, leaves)
+    checked = 0
+    for level, ((xs, ys), steps) in enumerate(zip(leaves, neighbour_steps(leaves), strict=True)):
+        side = SIDE << level
+        for x, y, step in zip(xs.tolist(), ys.tolist(), steps.tolist(), strict=True):
+            row, column = y * side, x * side
+            beyond = [(row, column - 1), (row, column + side), (row - 1, column), (row + side, column)]
+            for (r, c), s in zip(beyond, step, strict=True):
+                inside = 0 <= r < ROWS - 1 and 0 <= c < COLUMNS - 1
+                other = levels[r, c] if inside else -1
+                assert s == max(0, other - level)
+                checked += s > 0
+    assert checked or len(np.unique(levels[levels >= 0])) == 1
+
+
+def test_distances_are_to_the_nearest_point_of_the_box(patches: Any) -> None:
+    chosen, frame, _ = patches
+    lod = frame.lod_eye()
+    for level in (0, 2):
+        rows, columns = chosen.tree.shape(level)
+        y, x = (a.ravel() for a in np.mgrid[:rows, :columns])
+        low, high = chosen.bounds(level, x, y)
+        first, last = chosen.tree.samples(level, x, y)
+        way = np.linspace(0, 1, 17)
+        u, v, w = (a.ravel() for a in np.meshgrid(way, way, way))
+        column = first[:, :1] + u * (last - first)[:, :1]
+        row = first[:, 1:] + v * (last - first)[:, 1:]
+        z = low[:, None] + w * (high - low)[:, None]
+        flat = (np.stack([column, row], axis=-1) + 0.5 - frame.eye) @ frame.grid.metres.T - lod[:2]
+        dense = np.sqrt((flat**2).sum(axis=-1) + (z - frame.camera.z - lod[2]) ** 2).min(axis=1)
+        found = chosen.distance(level, x, y)
+        step = SPACING * (SIDE << level) / 16 + (high - low) / 16
+        assert (found <= dense + 1e-6).all()
+        assert (found >= dense - 2 * step).all()
+        points = chosen.distance_to(column[:, 0], row[:, 0], z[:, 0])
+        np.testing.assert_allclose(
+            points, np.sqrt((flat[:, 0] ** 2).sum(axis=-1) + (z[:, 0] - frame.camera.z - lod[2]) ** 2), rtol=1e-9
+        )
+
+
+def test_bounds_hold_the_samples(patches: Any, heights: NDArray[np.float32]) -> None:
+    chosen, _, _ = patches
+    for level in range(chosen.tree.level_count):
+        rows, columns = chosen.tree.shape(level)
+        y, x = (a.ravel() for a in np.mgrid[:rows, :columns])
+        low, high = chosen.bounds(level, x, y)
+        first, last = chosen.tree.samples(level, x, y)
+        for (c0, r0), (c1, r1), lo, hi in zip(first, last, low, high, strict=True):
+            part = heights[r0 : r1 + 1, c0 : c1 + 1]
+            assert lo <= part.min()
+            assert hi >= part.max()
+
+
+def test_a_view_of_the_sky_has_few_patches(scene: Scene) -> None:
+    frame = scene.frame(scene.camera(90, 80, 500.0, pitch=80.0))
+    chosen = PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view)
+    # boxes around the camera cross every plane without being seen
+    assert sum(x.size for x, _ in chosen.select(near(chosen, 3.0))) < 10
