@@ -77,7 +77,8 @@ def test_every_setting_has_a_docstring() -> None:
 
 
 def test_a_new_folder_needs_nothing_else(plain: None) -> None:
-    assert list(algorithms()) == ["plain", "raycast", "udlod"]
+    assert "plain" in algorithms()
+    assert list(algorithms()) == sorted(algorithms())
     settings = make_settings("plain", {"steps": "5", "share": "none", "fast": "true", "label": "7"})
     assert dataclasses.astuple(settings) == (5, None, True, "7")
     assert make_settings("plain", {"share": "0.25", "fast": False}).share == 0.25
@@ -100,7 +101,7 @@ def test_values_that_cannot_be_read_are_named(plain: None, values: dict[str, str
 
 
 def test_an_unknown_algorithm_names_those_there_are() -> None:
-    with pytest.raises(SettingsError, match="expected one of raycast, udlod, got 'udlodd'; did you mean udlod"):
+    with pytest.raises(SettingsError, match=r"expected one of .*raycast, .*udlod, got 'udlodd'; did you mean udlod"):
         algorithm("udlodd")
     with pytest.raises(SettingsError, match=r"got 'voxels'$"):
         make_settings("voxels", {})

@@ -117,14 +117,15 @@ class PatchFrame:
             visible[level] = x, y
             divided[level] = split(level, x, y) if level and x.size else np.zeros(x.size, bool)
             x, y = self._children(level, x[divided[level]], y[divided[level]])
+        leaves = [(x[~cut], y[~cut]) for (x, y), cut in zip(visible, divided, strict=True)]
         if not restricted:
-            return [(x[~cut], y[~cut]) for (x, y), cut in zip(visible, divided, strict=True)]
-        return self._restricted([(x[cut], y[cut]) for (x, y), cut in zip(visible, divided, strict=True)])
+            return leaves
+        return self._restricted(leaves, [_key(x[cut], y[cut]) for (x, y), cut in zip(visible, divided, strict=True)])
 
-    def _restricted(self, divided: Leaves) -> Leaves:
-        """Leaves where the patches `divided`, per level, are split, and those that must be for neighbours' sake."""
-        top = len(divided) - 1
-        keys = [_key(x, y) for x, y in divided]
+    def _restricted(self, leaves: Leaves, divided: list[Ints]) -> Leaves:
+        """The leaves after those have been split too that must be for their neighbours' sake; `divided`: keys."""
+        top = len(leaves) - 1
+        keys = list(divided)
         for level in range(1, top):
             # where a patch is split its neighbours must exist, so their parents are split too
             x, y = _place(keys[level])
@@ -132,16 +133,16 @@ class PatchFrame:
             around = [(x + dx, y + dy) for dx, dy in _EDGES]
             inside = [(px >= 0) & (py >= 0) & (px < columns) & (py < rows) for px, py in around]
             parents = [_key(px[ok] >> 1, py[ok] >> 1) for (px, py), ok in zip(around, inside, strict=True)]
-            own = _key(x >> 1, y >> 1)
-            keys[level + 1] = np.unique(np.concatenate([keys[level + 1], own, *parents]))
-        leaves: Leaves = [(np.zeros(0, np.int64), np.zeros(0, np.int64)) for _ in keys]
-        x = y = np.zeros(1, np.int64)
-        for level in range(top, -1, -1):
-            seen = self.visible(level, x, y)
-            x, y = x[seen], y[seen]
+            keys[level + 1] = np.unique(np.concatenate([keys[level + 1], _key(x >> 1, y >> 1), *parents]))
+        for level in range(top, 0, -1):
+            x, y = leaves[level]
             cut = np.isin(_key(x, y), keys[level])
-            leaves[level] = x[~cut], y[~cut]
-            x, y = self._children(level, x[cut], y[cut])
+            if cut.any():
+                below, rows = self._children(level, x[cut], y[cut])
+                seen = self.visible(level - 1, below, rows)
+                finer = leaves[level - 1]
+                leaves[level] = x[~cut], y[~cut]
+                leaves[level - 1] = np.append(finer[0], below[seen]), np.append(finer[1], rows[seen])
         return leaves
 
     def _children(self, level: int, x: Ints, y: Ints) -> tuple[Ints, Ints]:
@@ -151,17 +152,19 @@ class PatchFrame:
         return x[inside], y[inside]
 
 
-def neighbour_steps(leaves: Sequence[tuple[Ints, Ints]]) -> list[Ints]:
+def neighbour_steps(leaves: Sequence[tuple[Ints, Ints]], most: int | None = None) -> list[Ints]:
     """Per level (n, 4): by how many levels the leaf beyond the west, east, north and south edge is coarser.
 
-    0 where it is of the same level or finer, and where there is none.
+    0 where it is of the same level or finer, and where there is none. `most`: the greatest difference there can be (1
+    in a restricted tree).
     """
     known = [_key(x, y) for x, y in leaves]
     result = []
     for level, (x, y) in enumerate(leaves):
         steps = np.zeros((x.size, 4), np.int64)
         for edge, (dx, dy) in enumerate(_EDGES):
-            for step in range(1, len(leaves) - level):
+            last = len(leaves) - 1 if most is None else min(level + most, len(leaves) - 1)
+            for step in range(1, last - level + 1):
                 px, py = (x + dx) >> step, (y + dy) >> step
                 other = ((px != x >> step) | (py != y >> step)) & (px >= 0) & (py >= 0)
                 steps[other & np.isin(_key(px, py), known[level + step]), edge] = step
