@@ -172,6 +172,41 @@ def test_bounds_hold_the_samples(patches: Any, heights: NDArray[np.float32]) -> 
             assert hi >= part.max()
 
 
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("view_distance", [0.3, 0.02])
+def test_bounds_hold_what_is_drawn_from_any_level(gpu: Gpu, view: str, view_distance: float) -> None:
+    # a few single peaks: means of coarser levels reach where no sample is high
+    rough = noise(700, 900, 5.0)
+    rough[np.random.default_rng(2).random(rough.shape) < 3e-4] = 3000.0
+    angles = dict(VIEWS[view])
+    with closing(Scene(gpu, rough, view_distance=view_distance)) as scene:
+        frame = scene.frame(scene.camera(300, 260, angles.pop("z") + 60.0, **angles), (160, 120))
+        drawn = scene.draw(frame, scene.algorithm("raycast"))["depth"]
+        x, y, z = frame.positions(drawn)[drawn > 0].T
+        column, row = (v - 0.5 for v in frame.grid.to_texel(x, y))
+        chosen = PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view)
+        assert len(z) > 3000
+        for level in range(5):
+            px, py = ((v / (SIDE << level)).astype(np.int64) for v in (column, row))
+            low, high = chosen.bounds(level, px, py)
+            slack = 1e-3 + 1e-5 * np.abs(z - frame.camera.z)
+            assert (z >= low - slack).all()
+            assert (z <= high + slack).all()
+
+
+def test_bounds_are_close_where_the_data_is_at_hand(gpu: Gpu) -> None:
+    slope = np.tile(3.0 * np.arange(400, dtype=np.float32), (300, 1))
+    with closing(Scene(gpu, slope)) as scene:
+        frame = scene.frame(scene.camera(200, 150, 3000.0, pitch=-90.0))
+        chosen = PatchFrame(PatchTree(scene.pyramid.grid, 16), frame, scene.view)
+        x, y = np.arange(20), np.full(20, 5)
+        low, high = chosen.bounds(0, x, y)
+        # 16 samples rise by 48 m; blocks and their surroundings by at most 4.5 times that, a node by 768 m
+        assert (high - low <= 4.5 * 48).all()
+        assert (low <= 48.0 * x).all()
+        assert (high >= 48.0 * (x + 1)).all()
+
+
 def test_a_view_of_the_sky_has_few_patches(scene: Scene) -> None:
     frame = scene.frame(scene.camera(90, 80, 500.0, pitch=80.0))
     chosen = PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view)

@@ -132,7 +132,7 @@ def test_maxima_of_every_block_of_every_level(gpu: Gpu, size: int) -> None:
     side = size + 2 * HEIGHT_BORDER
     nodes = {slot: rng.normal(-500, 100, (side, side)).astype(np.float32) for slot in (0, 1, 2)}
     for slot, heights in nodes.items():
-        atlas.upload(slot, HeightNode(heights, None, 0.0, 0.0))
+        atlas.upload(slot, HeightNode(heights, None, 0.0, 0.0, np.zeros((0, 0, 2))))
     builder.build([2, 0])
     builder.build([])
     for slot in (0, 2):
@@ -154,7 +154,7 @@ def test_uploads_reach_their_slots(gpu: Gpu) -> None:
     atlas = NodeAtlas(gpu, "test", height_attachments(256, covered=False), 2, 1 << 30, 1)
     heights = rng.normal(size=(260, 260)).astype(np.float32)
     coverage = rng.integers(0, 256, (260, 260)).astype(np.uint8)
-    atlas.upload(1, HeightNode(heights, coverage, 0.0, 0.0))
+    atlas.upload(1, HeightNode(heights, coverage, 0.0, 0.0, np.zeros((0, 0, 2))))
     np.testing.assert_array_equal(read_layer(gpu, atlas.textures["height"], 1), heights)
     np.testing.assert_allclose(read_layer(gpu, atlas.textures["coverage"], 1) * 255, coverage, atol=1e-4)
     assert not read_layer(gpu, atlas.textures["height"], 0).any()

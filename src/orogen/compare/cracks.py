@@ -96,10 +96,10 @@ def _shifted(values: Floats, rows: int, columns: int, outside: float) -> Floats:
 
 
 def _largest(values: Floats, reach: int) -> Floats:
-    """The largest value within `reach` rows and columns of every pixel."""
+    """The largest value within `reach` rows and columns of every pixel; infinite where those leave the picture."""
     for axis in ((1, 0), (0, 1)):
         steps = range(-reach, reach + 1)
-        values = np.maximum.reduce([_shifted(values, n * axis[0], n * axis[1], -np.inf) for n in steps])
+        values = np.maximum.reduce([_shifted(values, n * axis[0], n * axis[1], np.inf) for n in steps])
     return values
 
 

@@ -138,11 +138,11 @@ class PatchFrame:
             x, y = leaves[level]
             cut = np.isin(_key(x, y), keys[level])
             if cut.any():
-                below, rows = self._children(level, x[cut], y[cut])
-                seen = self.visible(level - 1, below, rows)
+                children = self._children(level, x[cut], y[cut])
+                seen = self.visible(level - 1, *children)
                 finer = leaves[level - 1]
                 leaves[level] = x[~cut], y[~cut]
-                leaves[level - 1] = np.append(finer[0], below[seen]), np.append(finer[1], rows[seen])
+                leaves[level - 1] = np.append(finer[0], children[0][seen]), np.append(finer[1], children[1][seen])
         return leaves
 
     def _children(self, level: int, x: Ints, y: Ints) -> tuple[Ints, Ints]:

@@ -33,7 +33,7 @@ fn edge_distance(lines: vec4<f32>) -> f32 {
 
 // Whether an offset from the anchor lies outside the data, by more than its rounding.
 fn outside(offset: vec2<f32>) -> bool {
-    let slack = 0.25 + 1e-6 * abs(offset);
+    let slack = 0.125 + 1e-6 * abs(offset);
     let low = vec2<f32>(frame.extent.xy - frame.anchor) - slack;
     let high = vec2<f32>(frame.extent.zw - frame.anchor) + slack;
     return any(offset < low) || any(offset > high);

@@ -21,6 +21,7 @@ from orogen.streaming import blocks
 from orogen.streaming.layer import Layer
 from orogen.streaming.requests import LayerGrid, wanted
 from orogen.streaming.settings import COLOR_BORDER, HEIGHT_BORDER, MAX_ANISOTROPY, ClipmapSettings
+from orogen.streaming.tiles import BLOCK
 
 SEARCH = (Path(orogen.__file__).parent, Path(__file__).parent)
 """Folders of the WGSL that reads a frame and the clipmap."""
@@ -206,8 +207,10 @@ class ClipmapView:
         self._starts: list[int] = []
         self._table: Buffer | None = None
         self._bounds: Buffer | None = None
+        self._entries = np.zeros((0, 1, 1), np.uint32)
         self._drawn_bounds = np.zeros((0, 1, 1, 2), np.float32)
         self._height_origins: list[tuple[int, int]] = []
+        self._frame: Frame | None = None
         self._written_tables: Any = None
         self._written_block: Any = None
         self.bind_group: Any = None
@@ -238,6 +241,7 @@ class ClipmapView:
 
     def update(self, frame: Frame) -> None:
         """Write the frame's numbers and, where camera or residency changed, the quadtrees."""
+        self._frame = frame
         settings, layers = self.clipmap.settings, self.clipmap.layers
         view = settings.view_distance_for(frame.size, frame.lod_fov)
         load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e6)
@@ -259,9 +263,61 @@ class ClipmapView:
     def drawn_bounds(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.float32]:
         """Lowest and highest height (m) that may be drawn between samples, (n, 2), after `update`.
 
-        `low`, `high`: (n, 2) columns and rows of the first and last level-0 sample of each of n rectangles. The twin of
-        `bounds_over` in clipmap.wgsl, at the level whose nodes are as wide as the wider side or the next wider.
+        `low`, `high`: (n, 2) columns and rows of the first and last level-0 sample of each of n rectangles. Narrow ones
+        are looked up in the blocks of resident nodes; for wide ones this is the twin of `bounds_over` in clipmap.wgsl,
+        at the level whose nodes are as wide as the wider side or the next wider.
         """
+        result = self._node_ranges(low, high)
+        narrow, ranges = self._block_ranges(low, high)
+        result[narrow] = ranges[narrow]
+        return result
+
+    def _block_ranges(
+        self, low: NDArray[np.integer], high: NDArray[np.integer]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Which rectangles are narrow enough for the blocks of the nodes that are used there, and their ranges."""
+        layer = self.clipmap.heights
+        bits = self.clipmap.settings.node_bits
+        # coarser texels are means of samples around the rectangle: of the level used, or the next one
+        pad = (2 << self._coarsest(low, high))[:, None]
+        last = np.array([layer.grid.grid.width, layer.grid.grid.height]) - 1
+        low, high = np.clip(low - pad, 0, last).astype(np.int64), np.clip(high + pad, 0, last).astype(np.int64)
+        side = 1 << self._bits[0]
+        origin = np.array(self._height_origins[0])[::-1]
+        wide = (high - low).max(axis=1) + 1
+        inside = ((low >> bits >= origin) & (high >> bits < origin + side)).all(axis=1)
+        narrow = inside & (wide <= BLOCK << (len(layer.blocks) - 1))
+        ranges = np.tile(np.array([np.inf, -np.inf], np.float32), (len(wide), 1))
+        # blocks at least as wide as the rectangle: two by two of them are enough
+        mips = np.ceil(np.log2(np.maximum(wide / BLOCK, 1))).astype(np.int64)
+        for at in (low, np.stack([high[:, 0], low[:, 1]], 1), np.stack([low[:, 0], high[:, 1]], 1), high):
+            node = (at >> bits) & (side - 1)
+            entry = self._entries[0, node[:, 1], node[:, 0]].astype(np.int64)
+            slot, level = entry & 0xFFFF, entry >> 16
+            narrow &= slot != _NO_SLOT
+            for mip, table in enumerate(layer.blocks):
+                chosen = np.flatnonzero(narrow & (mips == mip))
+                # a node's own texels: of its level
+                texel = (at[chosen] >> level[chosen, None]) & ((1 << bits) - 1)
+                block = texel >> (BLOCK.bit_length() - 1 + mip)
+                found = table[slot[chosen], block[:, 1], block[:, 0]]
+                ranges[chosen, 0] = np.minimum(ranges[chosen, 0], found[:, 0])
+                ranges[chosen, 1] = np.maximum(ranges[chosen, 1], found[:, 1])
+        return narrow, ranges
+
+    def _coarsest(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.int64]:
+        """The coarsest level, at most, whose texels are used in rectangles of samples (equation 4.9)."""
+        frame, settings = self._frame, self.clipmap.settings
+        assert frame is not None, "update the view first"
+        grid = self.clipmap.heights.grid
+        eye = _lod_texel(frame, grid.grid) - 0.5
+        away = np.maximum(np.abs(low - eye), np.abs(high - eye)) @ np.linalg.norm(grid.grid.metres, axis=0)
+        above = abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
+        reach = settings.view_distance_for(frame.size, frame.lod_fov) * grid.node_size * grid.grid.spacing
+        level = np.floor(np.log2(np.maximum(2 * np.hypot(away, above) / reach, 1))).astype(np.int64)
+        return np.minimum(level + 1, grid.level_count - 1) * (reach < 1e30)
+
+    def _node_ranges(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.float32]:
         layer = self.clipmap.heights.grid
         last = np.array([layer.grid.width, layer.grid.height]) - 1
         low, high = np.clip(low, 0, last).astype(np.int64), np.clip(high, 0, last).astype(np.int64)
@@ -326,7 +382,7 @@ class ClipmapView:
             clipmap.gpu.write(self._table, table, 4 * self._starts[i])
             if layer.is_height:
                 clipmap.gpu.write(self._bounds, bounds)
-                self._drawn_bounds, self._height_origins = bounds, origins[i]
+                self._entries, self._drawn_bounds, self._height_origins = table, bounds, origins[i]
 
     def _write_block(self, frame: Frame, origins: list[list[tuple[int, int]]], view: float) -> None:
         block = np.zeros((), blocks.CLIPMAP)

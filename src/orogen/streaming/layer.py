@@ -15,10 +15,12 @@ from orogen.streaming.atlas import MaximaBuilder, NodeAtlas, color_attachments, 
 from orogen.streaming.loader import Loader
 from orogen.streaming.requests import LayerGrid
 from orogen.streaming.settings import ClipmapSettings
-from orogen.streaming.tiles import ColorNode, DecodedTiles, HeightNode, color_node, height_node
+from orogen.streaming.tiles import BLOCK, ColorNode, DecodedTiles, HeightNode, color_node, height_node
 
 _AHEAD = 64
 """Loaded nodes, at most, that wait to be uploaded."""
+_BLOCK_MIPS = 4
+"""Sizes of blocks whose ranges are kept: 16 to 128 texels."""
 
 
 class Layer:
@@ -40,6 +42,9 @@ class Layer:
         self.maxima = MaximaBuilder(gpu, self.atlas, settings.node_bits) if self.is_height else None
         self.slots = np.zeros((self.atlas.capacity, 4), np.float32)
         """Per slot: lowest and highest texel, bound on the error (m), level."""
+        side = settings.node_size // BLOCK if self.is_height else 0
+        self.blocks = [np.zeros((self.atlas.capacity, side >> k, side >> k, 2), np.float32) for k in range(_BLOCK_MIPS)]
+        """Per slot: lowest and highest height of blocks of texels, then of 2 x 2 of these, and so on."""
         self.version = 0
         """Counts changes of `current` and of what is in its slots."""
         self._estimates: set[NodeKey] = set()
@@ -97,6 +102,7 @@ class Layer:
             else:
                 self._estimates.add(key)
             if isinstance(node, HeightNode):
+                self._keep_ranges(slot, node.blocks)
                 self.slots[slot] = node.low, node.high, self._error(key), key.level
                 self._seen = min(self._seen[0], node.low), max(self._seen[1], node.high)
         if fresh:
@@ -104,6 +110,13 @@ class Layer:
             if self.maxima:
                 self.maxima.build(fresh)
         return len(fresh) * size
+
+    def _keep_ranges(self, slot: int, ranges: NDArray[np.float32]) -> None:
+        for mip in self.blocks:
+            mip[slot] = ranges
+            side = len(ranges) // 2
+            four = ranges.reshape(side, 2, side, 2, 2)
+            ranges = np.stack([four[..., 0].min(axis=(1, 3)), four[..., 1].max(axis=(1, 3))], axis=-1)
 
     @property
     def current(self) -> dict[NodeKey, int]:

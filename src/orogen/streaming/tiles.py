@@ -20,6 +20,9 @@ from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.reduce import colour_means, filled
 from orogen.streaming.settings import COLOR_BORDER, COLOR_MIPS, HEIGHT_BORDER
 
+BLOCK = 16
+"""Texels along a side of the blocks whose lowest and highest height are known."""
+
 _Chunk = tuple[int, int, int, str]
 """Level, row and column of a chunk, and what is in it: "exact" samples, an "estimate" of them, or their "coverage"."""
 
@@ -124,6 +127,8 @@ class HeightNode:
     """Lowest height of the texels, border included."""
     high: float
     """Highest height of the texels, border included."""
+    blocks: NDArray[np.float32]
+    """(size / 16, size / 16, 2) lowest and highest height of blocks of texels and those around them."""
 
 
 @dataclass(frozen=True)
@@ -147,9 +152,25 @@ def height_node(tiles: DecodedTiles, pyramid: Pyramid, key: NodeKey, size: int, 
     if not covered:
         share = tiles.coverage(key.level, rows, cols, heights)
         coverage = _placed(share, key, size, HEIGHT_BORDER, rows, cols, linear=False)
-        heights = _without_holes(tiles, pyramid, key.level, rows, cols, heights)
+        heights = without_holes(tiles, pyramid, key.level, rows, cols, heights)
     heights = _placed(heights, key, size, HEIGHT_BORDER, rows, cols, linear=True)
-    return HeightNode(heights, coverage, float(heights.min()), float(heights.max()))
+    return HeightNode(heights, coverage, float(heights.min()), float(heights.max()), _block_ranges(heights))
+
+
+def _block_ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Lowest and highest height of every block and one texel around it, from a node with its border."""
+    around = heights[HEIGHT_BORDER - 1 : 1 - HEIGHT_BORDER, HEIGHT_BORDER - 1 : 1 - HEIGHT_BORDER]
+    ranges = []
+    for extreme in (np.minimum, np.maximum):
+        values = around
+        for _ in range(2):
+            # rows, then columns: the blocks, then the texel before and the texel after each
+            inner = extreme.reduceat(values[1:-1], np.arange(0, len(values) - 2, BLOCK))
+            count = len(inner)
+            before, after = values[:-BLOCK:BLOCK][:count], values[BLOCK + 1 :: BLOCK][:count]
+            values = extreme(inner, extreme(before, after)).T
+        ranges.append(values)
+    return np.stack(ranges, axis=-1)
 
 
 def color_node(tiles: DecodedTiles, pyramid: Pyramid, key: NodeKey, size: int) -> ColorNode:
@@ -194,7 +215,7 @@ def _extended(values: NDArray, axis: int, index: NDArray[np.int64], linear: bool
     return out
 
 
-def _without_holes(
+def without_holes(
     tiles: DecodedTiles, pyramid: Pyramid, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Heights for invalid texels: the mean of the valid ones of the 8 neighbours, else of the finest coarser level."""

@@ -1,0 +1,146 @@
+"""Pages: data of an algorithm's own (chunks, meshes), made in the background and kept in one storage buffer."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from itertools import chain, zip_longest
+from typing import Any, Generic, TypeVar
+from weakref import WeakKeyDictionary
+
+from numpy.typing import NDArray
+
+from orogen.errors import BudgetError
+from orogen.gpu import Buffer, Gpu
+from orogen.streaming.loader import Loader
+
+K = TypeVar("K", bound=Hashable)
+
+_FIRST = 64
+"""Slots at first; their number doubles up to what the memory holds."""
+_AHEAD = 64
+"""Pages that are made, at most, and wait to be uploaded."""
+
+
+class PageStore(Generic[K]):
+    """Slots of equal size in a buffer that grows; the least recently wanted page makes room for a new one."""
+
+    def __init__(
+        self,
+        gpu: Gpu,
+        name: str,
+        page_bytes: int,
+        make: Callable[[K], bytes | NDArray[Any]],
+        *,
+        memory: int = 64 << 20,
+        threads: int = 2,
+    ) -> None:
+        """`make` turns a key into at most `page_bytes` bytes (a multiple of 4), in `threads` threads.
+
+        `memory`: bytes of the buffer at most. Raises BudgetError where that is less than a page.
+        """
+        self._gpu = gpu
+        self._name = name
+        self.page_bytes = page_bytes
+        """Bytes from one slot to the next."""
+        self.capacity = min(memory, gpu.limits["max-storage-buffer-binding-size"]) // page_bytes
+        """Pages that may be resident at once."""
+        if self.capacity < 1:
+            raise BudgetError(f"{name}: expected room for at least one page of {page_bytes} bytes, got {memory}")
+        self._slots: OrderedDict[K, int] = OrderedDict()
+        self._wishes: WeakKeyDictionary[object, list[K]] = WeakKeyDictionary()
+        self._wanted: frozenset[K] = frozenset()
+        self._loader: Loader[K, bytes | NDArray[Any]] = Loader(make, threads=threads, ahead=_AHEAD)
+        self._count = min(_FIRST, self.capacity)
+        self._free = list(range(self._count))[::-1]
+        self._buffer = self._allocated()
+
+    @property
+    def buffer(self) -> Buffer:
+        """Slot after slot; another buffer once it has grown, so bind groups have to follow."""
+        return self._buffer
+
+    @property
+    def resident(self) -> Mapping[K, int]:
+        """Slot of every page that is in the buffer."""
+        return self._slots
+
+    @property
+    def wanted(self) -> frozenset[K]:
+        """Pages that any owner wants and that there is room for."""
+        return self._wanted
+
+    @property
+    def pending(self) -> int:
+        """Wanted pages that are still to come."""
+        return self._loader.pending
+
+    @property
+    def failed(self) -> Mapping[K, BaseException]:
+        """Wanted pages that could not be made, and why."""
+        return self._loader.failed
+
+    def want(self, keys: Iterable[K], owner: object | None = None) -> None:
+        """Replace the pages that `owner` (a view) wants, the most important first; those without room are left out.
+
+        Several owners' wishes take turns. Those of an owner that is gone are forgotten.
+        """
+        self._wishes[self if owner is None else owner] = list(keys)
+        turns = chain.from_iterable(zip_longest(*self._wishes.values()))
+        listed = list(dict.fromkeys(key for key in turns if key is not None))[: self.capacity]
+        self._wanted = frozenset(listed)
+        for key in reversed(listed):
+            if key in self._slots:
+                self._slots.move_to_end(key)
+        self._loader.want([key for key in listed if key not in self._slots])
+
+    def pump(self, budget: int) -> int:
+        """Upload pages of at most `budget` bytes (one at least); returns the bytes uploaded."""
+        done = 0
+        while not done or done + self.page_bytes <= budget:
+            taken = self._loader.take(1)
+            if not taken:
+                break
+            ((key, page),) = taken
+            self._gpu.write(self._buffer_for(key), page, self._slots[key] * self.page_bytes)
+            done += len(page) if isinstance(page, bytes) else page.nbytes
+        return done
+
+    def settle(self) -> None:
+        """Load until every wanted page that can be made and fits is resident."""
+        while self.pending:
+            if self.pump(self.page_bytes * _AHEAD):
+                # staging memory is given back when the GPU is done with it
+                self._gpu.wait()
+            else:
+                self._loader.wait(1.0)
+
+    def close(self) -> None:
+        """Stop loading and give the memory back."""
+        self._loader.close()
+        self._buffer.destroy()
+
+    def _buffer_for(self, key: K) -> Buffer:
+        """The buffer, with a slot for the page."""
+        if key not in self._slots:
+            if not self._free and self._count < self.capacity:
+                self._grow(min(2 * self._count, self.capacity))
+            if not self._free:
+                # no more pages are wanted than there are slots
+                victim = next(old for old in self._slots if old not in self._wanted)
+                self._free.append(self._slots.pop(victim))
+            self._slots[key] = self._free.pop()
+        return self._buffer
+
+    def _grow(self, count: int) -> None:
+        old, kept = self._buffer, self._count * self.page_bytes
+        self._free += range(count - 1, self._count - 1, -1)
+        self._count = count
+        self._buffer = self._allocated()
+        encoder = self._gpu.encoder(f"{self._name} grows")
+        encoder.copy_buffer_to_buffer(old.raw, 0, self._buffer.raw, 0, kept)
+        self._gpu.submit(encoder)
+
+    def _allocated(self) -> Buffer:
+        size = self._count * self.page_bytes
+        return self._gpu.buffer(self._name, size, "STORAGE|COPY_SRC|COPY_DST", f"{self._name} pages")
