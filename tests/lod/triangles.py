@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,17 @@ fn copy(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x < arrayLength(&source)) { copied[id.x] = source[id.x]; }
 }
 """
+
+
+class Unculled(Frame):
+    """A frame whose frustum is everywhere."""
+
+    def planes(self, lod: bool = True) -> NDArray[np.float64]:
+        return np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+
+
+def as_unculled(frame: Frame) -> Unculled:
+    return Unculled(**{field.name: getattr(frame, field.name) for field in dataclasses.fields(frame)})
 
 
 def read_triangles(scene: Scene, frame: Frame, state: AlgorithmView) -> list[NDArray[Any]]:

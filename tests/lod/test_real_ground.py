@@ -1,0 +1,178 @@
+"""Every algorithm on real ground: no cracks, nothing beside the data, no height that the data does not have.
+
+All are drawn finer than by default, so that what a picture lacks is a tear and not a lack of triangles. The truth is
+`raycast` over level 0, which test_raycast_on_real_ground.py holds against Embree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+
+from orogen.camera import Camera
+from orogen.compare.cameras import standard_cameras
+from orogen.compare.cracks import find_cracks
+from orogen.compare.surface_error import surface_error
+from orogen.compare.truth import TrueSurface
+from orogen.frame import Frame
+from orogen.gpu import Gpu
+from orogen.lod import algorithms
+from orogen.pyramid.open import open_pyramid
+from orogen.source.contract import Source
+from orogen.source.open import open_height
+from orogen.streaming.settings import ClipmapSettings
+from orogen.view.flight import Flight, builtin_flights
+from orogen.view.renderer import Picture, Renderer
+
+SIZE = (160, 100)
+LEVEL_0 = ClipmapSettings(view_distance=math.inf, load_distance=math.inf, memory=512 << 20)
+"""Everything at level 0: errors are the algorithm's alone."""
+FPS = 30
+OUTLYING = 0.05
+"""Pixels by which heights may leave the data's range: far triangles are slivers of a few hundredths of a pixel, the
+steps that drivers round their corners to."""
+STRAY = 5e-4
+"""Share of the pixels that may lie beside the data: those on its outline, by rounding."""
+LOST = 0.02
+"""Share of the pixels in which nothing may be drawn where there is ground: outlines."""
+EVERY = 10
+"""Every so many frames of a flight are drawn."""
+SAMPLE = ("low", "summit", "outside")
+TAIWAN = (3000, 6000, 4096)
+"""First column, first row and side of the crop: most of the flight made for Taiwan goes over it."""
+
+NAMES = [name for name in algorithms() if name != "raycast"]
+DATA = ("puget", "taiwan")
+FLIGHTS = [
+    (data, name)
+    for data in DATA
+    for name in builtin_flights()
+    if name == f"descent-{data}" or not name.startswith("descent-")
+]
+
+
+def fine(name: str) -> tuple[dict[str, float], int]:
+    """Settings halfway (in factors) between the usual detail and the finest, and pixels that outlines may be off then.
+
+    Details are widths or errors in pixels; an outline is off by no more.
+    """
+    kind = algorithms()[name]
+    if kind.detail is None:
+        return {}, 1
+    usual = getattr(kind.Settings(), kind.detail.setting)
+    value = math.sqrt(usual * kind.detail.finest)
+    return {kind.detail.setting: value}, math.ceil(value)
+
+
+class Ground:
+    """A data set with its true pictures, and a renderer that takes the algorithms in turn."""
+
+    def __init__(self, gpu: Gpu, source: Source) -> None:
+        self.heights: NDArray[np.float32] = source.read(slice(0, source.grid.height), slice(0, source.grid.width))
+        self.grid = source.grid
+        self.surface = TrueSurface(self.heights)
+        self.range = float(np.nanmin(self.heights)), float(np.nanmax(self.heights))
+        self.renderer = Renderer(gpu, open_pyramid(source), name="raycast", clipmap=LEVEL_0)
+        self._truths: dict[Camera, tuple[Frame, NDArray[np.float32]]] = {}
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        return standard_cameras(self.grid, self.surface)
+
+    def flight(self, name: str) -> dict[str, Camera]:
+        path = Flight.load(name).over(self.grid, self.range, height_at=self.height_at)
+        return {f"frame {k}": path.camera_at(k / FPS) for k in range(0, path.frame_count(FPS), EVERY)}
+
+    def height_at(self, x: float, y: float) -> float:
+        column, row = (math.floor(float(v)) for v in self.grid.to_texel(x, y))
+        inside = 0 <= column < self.grid.width and 0 <= row < self.grid.height
+        return float(self.heights[row, column]) if inside else math.nan
+
+    def truths(self, cameras: Mapping[str, Camera]) -> list[tuple[Frame, NDArray[np.float32]]]:
+        missing = [camera for camera in cameras.values() if camera not in self._truths]
+        if missing:
+            self.renderer.use("raycast")
+        for camera in missing:
+            picture = self.renderer.render(camera, SIZE)
+            self._truths[camera] = picture.frame, picture.reverse_depth
+        return [self._truths[camera] for camera in cameras.values()]
+
+    def faults(self, name: str, cameras: Mapping[str, Camera]) -> list[str]:
+        """What is wrong in an algorithm's pictures."""
+        truths = self.truths(cameras)
+        settings, tolerance = fine(name)
+        self.renderer.use(name, settings)
+        found = []
+        for (view, camera), (frame, true) in zip(cameras.items(), truths, strict=True):
+            picture = self.renderer.render(camera, SIZE)
+            # what the true surface does beyond the picture's rim is not known
+            rim = np.s_[tolerance:-tolerance, tolerance:-tolerance]
+            cracks = find_cracks(picture.reverse_depth, true, frame, tolerance=tolerance).mask[rim]
+            if cracks.any():
+                found.append(f"{view}: {cracks.sum()} crack pixels, the first {np.argwhere(cracks)[0] + tolerance}")
+            stray = surface_error(picture.reverse_depth, true, frame, self.surface).stray
+            if stray > STRAY:
+                found.append(f"{view}: {stray:.2%} of the pixels beside the data")
+            if outliers := self.outliers(picture):
+                found.append(f"{view}: {outliers} pixels below or above all heights")
+            if (lost := ((true > 0) & (picture.reverse_depth == 0)).mean()) > LOST:
+                found.append(f"{view}: {lost:.2%} of the pixels lost")
+        return found
+
+    def outliers(self, picture: Picture) -> int:
+        """Pixels whose height is outside the data's range."""
+        z = picture.position[..., 2]
+        slack = 1e-3 + OUTLYING * picture.depth / picture.frame.pixels_per_radian()
+        with np.errstate(invalid="ignore"):
+            return int(((z < self.range[0] - slack) | (z > self.range[1] + slack)).sum())
+
+
+@pytest.fixture(scope="module")
+def puget(gpu: Gpu, data_dir: Path) -> Iterator[Ground]:
+    ground = Ground(gpu, open_height(data_dir / "puget_height_1k.png", spacing=160.0, height_scale=0.1))
+    with closing(ground.renderer):
+        yield ground
+
+
+@pytest.fixture(scope="module")
+def taiwan(gpu: Gpu, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ground]:
+    column, row, side = TAIWAN
+    path = tmp_path_factory.mktemp("taiwan") / "crop.tif"
+    with rasterio.open(data_dir / "taiwan_20m_10481x19401_int16.tif") as whole:
+        window = rasterio.windows.Window(column, row, side, side)
+        a, b, c, d, e, f = tuple(whole.transform)[:6]
+        corner = rasterio.Affine(a, b, c + a * column + b * row, d, e, f + d * column + e * row)
+        profile = {**whole.profile, "width": side, "height": side, "transform": corner}
+        with rasterio.open(path, "w", **profile) as part:
+            part.write(whole.read(window=window))
+    ground = Ground(gpu, open_height(path))
+    with closing(ground.renderer):
+        yield ground
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_faults_in_a_few_views_of_puget(puget: Ground, name: str) -> None:
+    assert not puget.faults(name, {view: puget.cameras[view] for view in SAMPLE})
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("data", DATA)
+def test_no_faults_in_the_standard_views(request: pytest.FixtureRequest, data: str, name: str) -> None:
+    ground: Ground = request.getfixturevalue(data)
+    assert not ground.faults(name, ground.cameras)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("data", "flight"), FLIGHTS)
+def test_no_faults_along_a_flight(request: pytest.FixtureRequest, data: str, flight: str, name: str) -> None:
+    ground: Ground = request.getfixturevalue(data)
+    assert not ground.faults(name, ground.flight(flight))
