@@ -20,7 +20,7 @@ import orogen
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "orogen"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-DISTRIBUTIONS = {"PIL": "pillow", "skimage": "scikit-image"}
+DISTRIBUTIONS = {"PIL": "pillow", "flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
 """Names of distributions, where the name to import is another."""
 
 

@@ -85,7 +85,7 @@ def test_help_is_quick_and_lists_every_command():
         seconds.append(time.perf_counter() - start)
     assert done.returncode == 0
     assert done.stderr == ""
-    for command in ("info", "render", "fly", "view", "bench", "demo", "cache"):
+    for command in ("info", "render", "fly", "view", "compare", "bench", "demo", "cache"):
         assert re.search(rf"\b{command}\b", done.stdout)
     # 0.3 s on an idle machine; others may be at work
     assert min(seconds) < 1.0
@@ -101,7 +101,9 @@ def test_version(call):
     assert call("--version") == (0, f"{orogen.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", ["info", "render", "fly", "view", "bench", "demo", "cache", "cache info"])
+@pytest.mark.parametrize(
+    "command", ["info", "render", "fly", "view", "compare", "bench", "demo", "cache", "cache info"]
+)
 def test_every_command_has_help(call, command):
     code, out, err = call(*command.split(), "--help")
     assert (code, err) == (0, "")

@@ -32,6 +32,7 @@ for _name, _help in {
     "render": "Draw a picture.",
     "fly": "Draw a video along a flight.",
     "view": "Open a window to move through the terrain.",
+    "compare": "Compare terrain algorithms on the same data and flight, and write a report.",
     "bench": "Measure speed, memory and exactness, each against its target.",
     "demo": "Draw example pictures and a short video from built-in terrain.",
 }.items():

@@ -47,7 +47,8 @@ def fly(
     data
         Raster: a path, URL or GDAL name, or "synthetic".
     flight
-        Flight file (.json), or a built-in flight: orbit, descent.
+        Flight file (.json), or a built-in flight: orbit, descent, rotation, zoom, teleport, crawl, descent-puget,
+        descent-taiwan.
     output
         Video to write: .mp4, .webm, or .mkv without loss.
     fps

@@ -37,14 +37,15 @@ def numbers(count: int, separator: str = ",", kind: type = float) -> Callable[[A
     return convert
 
 
-def _word(convert: Callable[[Any, Sequence[Token]], Any], metavar: str) -> Parameter:
+def word(convert: Callable[[Any, Sequence[Token]], Any], metavar: str) -> Parameter:
+    """An option of one word that `convert` reads."""
     return Parameter(
         converter=convert, n_tokens=1, accepts_keys=False, allow_leading_hyphen=True, metavar=metavar, negative=""
     )
 
 
 Pair = tuple[float, float]
-Size = Annotated[tuple[int, int], _word(numbers(2, "x", int), "WxH")]
+Size = Annotated[tuple[int, int], word(numbers(2, "x", int), "WxH")]
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 Json = Annotated[bool, Parameter(negative="", show_default=False, group=DRAWING)]
 
@@ -77,7 +78,7 @@ class DataOptions:
 class CameraOptions:
     """Where the camera is; by default it shows all of the data."""
 
-    look_at: Annotated[Pair | None, _word(numbers(2), "X,Y")] = None
+    look_at: Annotated[Pair | None, word(numbers(2), "X,Y")] = None
     """Point on the ground in the middle of the picture, in the data's CRS."""
     distance: float | None = None
     """Metres from the camera to that point."""
@@ -89,7 +90,7 @@ class CameraOptions:
     """Vertical angle of view in degrees."""
     orthographic: Flag = False
     """Parallel projection, at the scale of the looked-at point."""
-    bounds: Annotated[tuple[float, float, float, float] | None, _word(numbers(4), "L,B,R,T")] = None
+    bounds: Annotated[tuple[float, float, float, float] | None, word(numbers(4), "L,B,R,T")] = None
     """Left, bottom, right, top of the part to show, in the data's CRS."""
 
 
@@ -111,11 +112,11 @@ class StyleOptions:
 
     ramp: str | None = None
     """Colour the ground by height with this ramp, even where there is an image."""
-    range: Annotated[Pair | None, _word(numbers(2), "LOW,HIGH")] = None
+    range: Annotated[Pair | None, word(numbers(2), "LOW,HIGH")] = None
     """Heights in metres of the ramp's ends. [default: those of the data]"""
     plain: Flag = False
     """One grey for all of the ground."""
-    sun: Annotated[Pair | None, _word(numbers(2), "AZ,EL")] = None
+    sun: Annotated[Pair | None, word(numbers(2), "AZ,EL")] = None
     """Azimuth and elevation of the sun in degrees. [default: 315,35]"""
     no_shadows: Flag = False
     """No cast shadows."""
@@ -168,10 +169,15 @@ class DrawingOptions:
 
     def settings(self) -> dict[str, str]:
         """The settings by name."""
-        result = {}
-        for item in self.set or ():
-            key, found, value = item.partition("=")
-            if not found or not key:
-                raise SettingsError(f"--set: expected KEY=VALUE, got {item!r}")
-            result[key] = value
-        return result
+        return settings_of(self.set)
+
+
+def settings_of(items: Sequence[str] | None) -> dict[str, str]:
+    """Values by name from the words of --set."""
+    result = {}
+    for item in items or ():
+        key, found, value = item.partition("=")
+        if not found or not key:
+            raise SettingsError(f"--set: expected KEY=VALUE, got {item!r}")
+        result[key] = value
+    return result

@@ -11,11 +11,12 @@ times are in seconds and increase. Every keyframe gives the camera in the same o
 * by its target: `look_at` [x, y] on the ground and the `distance` to it in metres;
 
 then `heading` (degrees clockwise from grid north), `pitch` (degrees above the horizon), `roll` and `fov` (the vertical
-angle of view); these are optional, and so is `sun` [azimuth, elevation] in degrees, on all keyframes or none.
+angle of view); these are optional, and so is `sun` [azimuth, elevation] in degrees, on all keyframes or none. At a
+keyframe with `cut` true the camera jumps: until then it stays where the keyframe before has it.
 
 In a relative flight x and y are fractions of the data's extent (0, 0 lower left, 1, 1 upper right), `distance` counts
 in halves of its diagonal, and so does `z`, which starts at the highest point; its camera is lifted where it would come
-too close to the ground. Such flights suit any data.
+too close to the ground (to the lowest height where there is none). Such flights suit any data.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ import difflib
 import json
 import math
 import os
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +70,15 @@ class Keyframe:
     roll: float = 0.0
     fov: float = 45.0
     sun: tuple[float, float] | None = None
+    cut: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.cut, bool):
+            raise SettingsError(f"cut: expected true or false, got {self.cut!r}")
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
+            if field.name == "cut":
+                continue
             pair = field.name in ("look_at", "sun")
             if value is None and field.default is None:
                 continue
@@ -109,6 +117,8 @@ class Flight:
         if len(self.keyframes) < 2:
             raise SettingsError(f"keyframes: expected at least 2, got {len(self.keyframes)}")
         times = [k.t for k in self.keyframes]
+        if self.keyframes[0].cut:
+            raise SettingsError("keyframe 1: cut: expected a keyframe to jump from, the first has none before it")
         if times[0] != 0:
             raise SettingsError(f"keyframe 1: t: expected the first keyframe at 0 seconds, got {times[0]:g}")
         for i in range(1, len(times)):
@@ -216,7 +226,12 @@ class Flight:
             distance = np.array([k.distance * unit for k in keys if k.distance is not None])
         path = FlightPath(self, grid, xy, z, distance)
         if self.relative and height_at:
-            path.lift(lambda x, y: height_at(x, y) * exaggeration, CLEARANCE * grid.spacing)
+
+            def ground(x: float, y: float) -> float:
+                height = height_at(x, y)
+                return (height if math.isfinite(height) else height_range[0]) * exaggeration
+
+            path.lift(ground, CLEARANCE * grid.spacing)
         return path
 
     def _positions(self, grid: Grid) -> NDArray[np.float64]:
@@ -255,7 +270,66 @@ class FlightPath:
         self.flight = flight
         self.grid = grid
         keys = flight.keyframes
+        starts = [0, *(i for i, key in enumerate(keys) if key.cut), len(keys)]
+        parts = [slice(start, stop) for start, stop in pairwise(starts)]
+        self._legs = [_Leg(keys[p], grid, xy[p], z[p], None if distance is None else distance[p]) for p in parts]
+        self.cuts: tuple[float, ...] = tuple(keys[start].t for start in starts[1:-1])
+        """Times in seconds at which the camera jumps."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.flight.duration
+
+    def camera_at(self, t: float) -> Camera:
+        """The camera at the time t in seconds; before the start the first one, after the end the last one."""
+        if not math.isfinite(t):
+            raise SettingsError(f"t: expected a finite time, got {t}")
+        return self._leg(t).camera_at(t)
+
+    def sun_at(self, t: float) -> tuple[float, float] | None:
+        """Azimuth (degrees clockwise from north, 0 to 360) and elevation of the sun, if the flight gives one."""
+        return self._leg(t).sun_at(t)
+
+    def frames(self, fps: float) -> Iterator[tuple[float, Camera]]:
+        """(time, camera) of a video of `fps` frames a second: as many as last for the duration, at least one."""
+        for i in range(self.frame_count(fps)):
+            yield i / fps, self.camera_at(i / fps)
+
+    def frame_count(self, fps: float) -> int:
+        """Number of frames that `frames` gives."""
+        if not (math.isfinite(fps) and fps > 0):
+            raise SettingsError(f"fps: expected more than 0 frames per second, got {fps:g}")
+        return max(1, round(self.duration * fps))
+
+    def lift(self, ground: Callable[[float, float], float], clearance: float) -> None:
+        """Raise the path smoothly to at least `clearance` metres over `ground`, heights of the drawn world."""
+        for leg in self._legs:
+            leg.lift(ground, clearance)
+
+    def _leg(self, t: float) -> _Leg:
+        return self._legs[bisect_right(self.cuts, t)]
+
+
+class _Leg:
+    """What is flown between two cuts."""
+
+    def __init__(
+        self,
+        keys: Sequence[Keyframe],
+        grid: Grid,
+        xy: NDArray[np.float64],
+        z: NDArray[np.float64],
+        distance: NDArray[np.float64] | None,
+    ) -> None:
+        self._grid = grid
+        if len(keys) == 1:
+            # a rest: the same key a second later
+            keys = [keys[0], dataclasses.replace(keys[0], t=keys[0].t + 1)]
+            xy, z = np.repeat(xy, 2, axis=0), np.repeat(z, 2)
+            distance = None if distance is None else np.repeat(distance, 2)
         times = [k.t for k in keys]
+        self._start, self._end = times[0], times[-1]
         self._xy = Spline(times, xy)
         # heights and angles must not swing past their keys: into the ground, or over the zenith
         self._z = Spline(times, z[:, None], bounded=True)
@@ -271,45 +345,24 @@ class FlightPath:
             self._sun = Spline(times, [(a, s[1]) for a, s in zip(azimuth, suns, strict=True)], bounded=True)
         self._lift: Spline | None = None
 
-    @property
-    def duration(self) -> float:
-        """Seconds."""
-        return self.flight.duration
-
     def camera_at(self, t: float) -> Camera:
-        """The camera at the time t in seconds; before the start the first one, after the end the last one."""
-        if not math.isfinite(t):
-            raise SettingsError(f"t: expected a finite time, got {t}")
         x, y = self._xy(t).tolist()
         heading, pitch, roll, fov = self._angles(t).tolist()
         camera = Camera(x, y, float(self._z(t)[0]), heading=heading % 360, pitch=pitch, roll=roll, fov=fov)
         if self._distance is not None:
-            camera = displaced(camera, self.grid, -math.exp(self._distance(t)[0]) * camera.basis[2])
+            camera = displaced(camera, self._grid, -math.exp(self._distance(t)[0]) * camera.basis[2])
         return camera if self._lift is None else camera.moved(z=camera.z + float(self._lift(t)[0]))
 
     def sun_at(self, t: float) -> tuple[float, float] | None:
-        """Azimuth (degrees clockwise from north, 0 to 360) and elevation of the sun, if the flight gives one."""
         if self._sun is None:
             return None
         azimuth, elevation = self._sun(t).tolist()
         return azimuth % 360, elevation
 
-    def frames(self, fps: float) -> Iterator[tuple[float, Camera]]:
-        """(time, camera) of a video of `fps` frames a second: as many as last for the duration, at least one."""
-        for i in range(self.frame_count(fps)):
-            yield i / fps, self.camera_at(i / fps)
-
-    def frame_count(self, fps: float) -> int:
-        """Number of frames that `frames` gives."""
-        if not (math.isfinite(fps) and fps > 0):
-            raise SettingsError(f"fps: expected more than 0 frames per second, got {fps:g}")
-        return max(1, round(self.duration * fps))
-
     def lift(self, ground: Callable[[float, float], float], clearance: float) -> None:
-        """Raise the path smoothly to at least `clearance` metres over `ground`, heights of the drawn world."""
         reach = round(LIFT_TIME * LIFT_RATE)
-        count = math.ceil(self.duration * LIFT_RATE) + 1
-        times = np.linspace(0, self.duration, count)
+        count = math.ceil((self._end - self._start) * LIFT_RATE) + 1
+        times = np.linspace(self._start, self._end, count)
         cameras = [self.camera_at(t) for t in times.tolist()]
         missing = np.array([ground(c.x, c.y) + clearance - c.z for c in cameras])
         missing = np.pad(np.where(missing > 0, missing, 0), 2 * reach, "edge")
@@ -321,7 +374,10 @@ class FlightPath:
 
 
 def builtin_flights() -> tuple[str, ...]:
-    """Names of the flights that come with orogen; they are relative, and so suit any data."""
+    """Names of the flights that come with orogen.
+
+    Those for one data set are named after it, as "descent-puget" is; the others are relative, and so suit any data.
+    """
     folder = files("orogen.view").joinpath("flights")
     return tuple(sorted(f.name.removesuffix(".json") for f in folder.iterdir() if f.name.endswith(".json")))
 

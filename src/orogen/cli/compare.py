@@ -1,0 +1,130 @@
+"""`orogen compare`: algorithms side by side, on the same data, flight and metrics."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from orogen.cli import console
+from orogen.cli.options import DataOptions, Flag, SceneOptions, Size, StyleOptions, numbers, settings_of, word
+
+Window = Annotated[tuple[int, int, int, int], word(numbers(4, ",", int), "X,Y,W,H")]
+Words = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
+
+
+def compare(
+    data: str,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    entry: Annotated[list[str] | None, Parameter(negative="", metavar="ENTRY")] = None,
+    sweep: Annotated[list[str] | None, Parameter(negative="", metavar="SWEEP")] = None,
+    equal_triangles: int | None = None,
+    equal_time: float | None = None,
+    flight: Annotated[str, Parameter(name=("--flight", "-f"))] = "descent",
+    frames: int | None = None,
+    every: int | None = None,
+    fps: float = 30.0,
+    size: Size = (1600, 900),
+    crop: Window | None = None,
+    prelit: Flag = False,
+    unlit: Flag = False,
+    metric: Words = None,
+    repeats: int = 3,
+    pictures: int = 3,
+    freeze: Flag = False,
+    set: Annotated[list[str] | None, Parameter(negative="", metavar="KEY=VALUE")] = None,
+    adapter: str | None = None,
+    force: Flag = False,
+    json: Flag = False,
+    scene: SceneOptions | None = None,
+    style: StyleOptions | None = None,
+    options: DataOptions | None = None,
+) -> None:
+    """Compare algorithms and write a report; an interrupted comparison goes on where it stopped.
+
+    Parameters
+    ----------
+    data
+        Raster: a path, URL or GDAL name, or "synthetic".
+    output
+        Folder of the report, its tables and pictures.
+    entry
+        Who takes part, as [LABEL=]ALGORITHM[:KEY=VALUE,...]; repeat for several. [default: every algorithm]
+    sweep
+        Vary a setting, as NAME.KEY=VALUE,VALUE... where NAME is a label or an algorithm; repeat for several.
+    equal_triangles
+        Set every algorithm's detail so that it takes this many triangles a frame, on average.
+    equal_time
+        Set every algorithm's detail so that it takes this many milliseconds of GPU time a frame, on average.
+    flight
+        Flight file (.json), or a built-in flight: orbit, descent, rotation, zoom, teleport, crawl, descent-puget,
+        descent-taiwan.
+    frames
+        How many frames to measure, evenly over the flight. [default: 60]
+    every
+        Measure every so many frames instead; 1: all of them.
+    fps
+        Frames of the flight per second.
+    size
+        Width and height in pixels.
+    crop
+        Part of the data: first column and row, columns and rows.
+    prelit
+        Drape an image of the terrain that is lit once, and no other light: pictures differ by geometry alone.
+    unlit
+        No light, only the draped image or the ramp.
+    metric
+        Measure just this: psnr, ssim, flip, delta_e, surface, cracks or stability; repeat for several.
+    repeats
+        How often a frame is timed; medians count.
+    pictures
+        Of how many frames pictures are kept.
+    freeze
+        Keep pictures from a second camera too, while the flight's camera decides on the geometry.
+    set
+        Setting of the streaming, the same for all, such as memory=100000000; repeat for several.
+    adapter
+        GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name.
+    force
+        Replace a comparison of another plan in the folder.
+    json
+        Write JSON about the comparison to stdout.
+    """
+    from orogen.compare.plan import Plan, parse_entry, parse_sweep
+    from orogen.compare.runner import run
+
+    entries = [parse_entry(text) for text in entry or ()]
+    for text in sweep or ():
+        entries += parse_sweep(text, entries)
+    before = scene or SceneOptions()
+    look = (style or StyleOptions()).style()
+    plan = Plan(
+        data,
+        tuple(entries),
+        options=asdict(options or DataOptions()),
+        crop=crop,
+        flight=flight,
+        size=size,
+        fps=fps,
+        frames=60 if frames is None and every is None else frames,
+        every=every,
+        style=replace(look, lit=not unlit),
+        prelit=prelit,
+        exaggeration=before.exaggeration,
+        curvature=before.curvature,
+        metrics=tuple(metric) if metric else None,
+        repeats=repeats,
+        pictures=pictures,
+        freeze=freeze,
+        equal_triangles=equal_triangles,
+        equal_time=equal_time,
+        streaming=settings_of(set),
+        adapter=adapter,
+    )
+    with console.progress() as report:
+        written = run(plan, output, progress=report, force=force)
+    console.show({"report": written, "entries": [item.label for item in plan.entries]}, json, [str(written)])
