@@ -32,7 +32,9 @@ VERTEX = np.dtype(
 @dataclass(frozen=True)
 class Drawn:
     vertices: NDArray[Any]
-    """(patches, vertices per patch) of dtype VERTEX, in the order of the strips."""
+    """(patches, vertices per patch) of dtype VERTEX."""
+    index: NDArray[np.integer]
+    """(triangles, 3) vertex numbers of a patch."""
 
     @property
     def tiles(self) -> NDArray[np.int64]:
@@ -45,7 +47,7 @@ class Drawn:
     def triangles(self) -> NDArray[np.float32]:
         """(n, 3, 3) camera-relative corners, those without area left out."""
         p = self.vertices["position"]
-        corners = np.stack([p[:, :-2], p[:, 1:-1], p[:, 2:]], axis=2).reshape(-1, 3, 3)
+        corners = p[:, self.index].reshape(-1, 3, 3)
         a, b, c = corners.swapaxes(0, 1)
         same = (a == b).all(1) | (b == c).all(1) | (c == a).all(1)
         return corners[~same]
@@ -58,15 +60,16 @@ def read_patches(scene: Scene, frame: Frame, state: AlgorithmView, *, grow: bool
         (draw,) = scene.record(frame, state)
     assert isinstance(draw, Patches)
     gpu, clipmap = scene.gpu, scene.clipmap
+    grid_size = state._algorithm.settings.grid_size  # type: ignore[attr-defined]
     shader = gpu.shader(
-        "vertices", draw.module.path, Path(__file__).parent / "vertices.wgsl",
-        search=[FOLDER, *SEARCH], constants={**clipmap.constants, **draw.module.constants},
+        "vertices", draw.module.path, Path(__file__).parent / "patch_vertices.wgsl",
+        search=[FOLDER, *SEARCH],
+        constants={**clipmap.constants, **draw.module.constants, "EACH": (grid_size + 1) ** 2},
     )  # fmt: skip
     layout = gpu.layout("vertices", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
     pipeline = gpu.compute("vertices", shader, "write_vertices", [clipmap.layout, draw.module.layout, layout])
     patches = state.statistics().patches
-    grid_size = state._algorithm.settings.grid_size  # type: ignore[attr-defined]
-    each = 2 * (grid_size + 2) * grid_size
+    each = (grid_size + 1) ** 2
     written = gpu.buffer("vertices", VERTEX.itemsize * max(1, patches * each), "STORAGE|COPY_SRC", "test")
     encoder = gpu.encoder("vertices")
     run = encoder.begin_compute_pass(label="vertices")
@@ -79,7 +82,9 @@ def read_patches(scene: Scene, frame: Frame, state: AlgorithmView, *, grow: bool
     gpu.submit(encoder)
     vertices = gpu.read_buffer(written).result().view(VERTEX)
     written.destroy()
-    return Drawn(vertices[: patches * each].reshape(patches, each).copy())
+    assert draw.index is not None
+    index = gpu.read_buffer(draw.index.indices).result().view(np.uint32).reshape(-1, 3)
+    return Drawn(vertices[: patches * each].reshape(patches, each).copy(), index)
 
 
 def torn_edges(triangles: NDArray[np.float32], outline: tuple[float, float, float, float]) -> NDArray[np.float32]:

@@ -87,11 +87,11 @@ def test_the_mesh_is_whole_and_edges_match_bit_for_bit(scene: Scene, split: int)
 
 def test_finer_tiles_have_no_vertices_of_their_own_on_the_border() -> None:
     split = 4
-    row, column = np.divmod(index_list(split, 1), TILE * split + 1)
+    row, column = np.divmod(index_list(split, 1).ravel(), TILE * split + 1)
     last = TILE * split
     assert set(column[(row == 0) | (row == last)] % split) == {0}
     assert set(row[(column == 0) | (column == last)] % split) == {0}
-    assert len(index_list(split, split)) == 6 * TILE**2
+    assert index_list(split, split).size == 6 * TILE**2
 
 
 def test_statistics_count_what_is_drawn(scene: Scene) -> None:

@@ -19,7 +19,7 @@ from orogen.compare.truth import TrueSurface
 from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu
-from orogen.lod import make_settings, rtin
+from orogen.lod import make_settings, mesh, rtin
 from orogen.lod.chunked_lod import ChunkedLod, Settings
 from orogen.lod.chunked_lod.choose import morphs
 from orogen.lod.chunked_lod.chunks import CLUSTER, ChunkKey, ChunkMaker, Mesh
@@ -266,7 +266,7 @@ def drawn_triangles(scene: Scene, frame: Frame, state: Any) -> NDArray[Any]:
     if draw.index is None:
         clusters = state.statistics().triangles // CLUSTER
         words = np.array([3 * CLUSTER, clusters, 0, 0, 0], np.uint32)
-        index = scene.gpu.buffer("index", np.arange(3 * CLUSTER, dtype=np.uint32), "STORAGE", "test")
+        index = mesh.Mesh(scene.gpu, [np.arange(3 * CLUSTER).reshape(-1, 3)], "test")
         arguments = scene.gpu.buffer("arguments", words, "STORAGE", "test")
         draw = replace(draw, index=index, indirect=arguments)
 

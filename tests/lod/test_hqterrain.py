@@ -25,6 +25,7 @@ from orogen.lod.contract import Patches
 from orogen.lod.hqterrain import CLUSTER, HqTerrain, Settings, View
 from orogen.lod.hqterrain.choose import strip
 from orogen.lod.hqterrain.tiles import FINEST, VERTEX, Shape, Tile, TileKey, continued
+from orogen.lod.mesh import Mesh
 
 Floats = NDArray[np.float64]
 
@@ -193,7 +194,7 @@ def test_lists_start_over_where_their_room_is_used_up(hilly: Scene, algorithm_of
 def drawn(scene: Scene, frame: Frame, state: View) -> list[NDArray[Any]]:
     """Corners of the tiles' triangles, and of those between; made for the reader as draws of a list of vertices."""
     draws = scene.record(frame, state)
-    index = scene.gpu.buffer("index", np.arange(3 * CLUSTER, dtype=np.uint32), "STORAGE", "test")
+    index = Mesh(scene.gpu, [np.arange(3 * CLUSTER).reshape(-1, 3)], "test")
     found = []
     for draw in draws:
         assert isinstance(draw, Patches)

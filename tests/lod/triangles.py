@@ -70,7 +70,7 @@ def read_triangles(scene: Scene, frame: Frame, state: AlgorithmView) -> list[NDA
         run.set_pipeline(pipeline)
         run.set_bind_group(0, scene.view.bind_group)
         run.set_bind_group(1, draw.group)
-        group = gpu.bind("corners", layout, {0: place, 1: draw.indirect, 2: draw.index, 3: written})
+        group = gpu.bind("corners", layout, {0: place, 1: draw.indirect, 2: draw.index.indices, 3: written})
         run.set_bind_group(2, group)
         run.dispatch_workgroups(1024, -(-count * instances // 65536))
         run.end()

@@ -97,13 +97,9 @@ class Twin:
         return finals - close, close
 
     def vertices(self, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-        """Positions, morphs and grid places of a tile's vertices in the order of its strips."""
+        """Positions, morphs and grid places of a tile's vertices row by row."""
         n = self.settings.grid_size
-        grid = []
-        for column in range(n):
-            strip = [(column + (k & 1), k >> 1) for k in range(2 * (n + 1))]
-            grid += [strip[0], *strip, strip[-1]]
-        places = np.array(grid)
+        places = np.array([(column, row) for row in range(n + 1) for column in range(n + 1)])
         level, x, y = tile
         quad = self.leaf * 2.0**level
         whole = np.array([x, y]) * quad * n + places * quad

@@ -5,6 +5,8 @@ from __future__ import annotations
 import weakref
 from typing import Any
 
+import wgpu
+
 from orogen.gpu.formats import Format, format_of, mip_size
 from orogen.gpu.memory import MemoryAccount
 
@@ -21,6 +23,10 @@ class Buffer:
         self.size: int = raw.size
         """Bytes."""
         self._release = weakref.finalize(raw, account.release, raw.size, category)
+
+    def allows(self, usage: str) -> bool:
+        """Whether it was made for a use, by its name in `wgpu.BufferUsage`."""
+        return bool(self.raw.usage & wgpu.BufferUsage[usage])
 
     def destroy(self) -> None:
         """Give the memory back now; again does nothing."""

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol
 from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Texture
 from orogen.keys import NodeKey
+from orogen.lod.mesh import Mesh
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
 
@@ -43,14 +44,17 @@ class Patches:
     group: Any
     """Bind group 1; None where the module has no layout."""
     indirect: Buffer
-    """Arguments of an indirect draw: vertices per patch, patches, 0, 0."""
+    """Arguments of an indirect draw: vertices per patch, patches, 0, 0. The compute rasteriser has to be able to copy
+    them (usage COPY_SRC)."""
     topology: str = "triangle-strip"
     """WebGPU topology of a patch's vertices."""
-    index: Buffer | None = None
-    """List of u32 vertex numbers; with one the arguments are those of an indexed draw: indices per patch, patches,
-    first index, number added to all indices, 0."""
+    index: Mesh | None = None
+    """Lists of vertex numbers; with them the arguments are those of an indexed draw of one whole list: indices per
+    patch, patches, first index, number added to all indices, 0."""
     offset: int = 0
     """Bytes before the arguments in `indirect`, a multiple of 4."""
+    overhangs: bool = False
+    """Whether vertices may lie outside the data's extent; what is drawn there is left out."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ fn edge_distance(lines: vec4<f32>) -> f32 {
     return min(min(away.x, away.y), min(away.z, away.w));
 }
 
+const RASTER_COVERED = #{RASTER_COVERED};         // every sample is valid
+
 // Whether an offset from the anchor lies outside the data, by more than its rounding.
 fn outside(offset: vec2<f32>) -> bool {
     let slack = 0.125 + 1e-6 * abs(offset);
@@ -42,6 +44,8 @@ fn outside(offset: vec2<f32>) -> bool {
 @fragment
 fn surface(in: Corner) -> SurfaceTexel {
     let edge = edge_distance(in.lines);
-    if (outside(in.offset) || coverage_at(point_at(in.offset)) < 0.5) { discard; }
+    // also where nothing overhangs: at the outline rounding to subpixels lets pixels in
+    if (outside(in.offset)) { discard; }
+    if (!RASTER_COVERED && coverage_at(point_at(in.offset)) < 0.5) { discard; }
     return SurfaceTexel(in.position.z, in.words.x, pack_detail(in.words.y, in.words.z, edge));
 }

@@ -6,12 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from orogen.gpu import FrameTimer
+from orogen.errors import SettingsError
+from orogen.gpu import FrameTimer, Gpu
 from orogen.lod.contract import Draw, Module, Patches, Rays
+from orogen.raster.compute import ComputeRasterizer, can_rasterize
 from orogen.raster.surface import FORMATS, READ_LAYOUT, WRITE_LAYOUT, Surface
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent
+
+PATHS = ("auto", "hardware", "compute")
+"""Ways of drawing patches: in compute on GPUs that can, where draws allow it; by the hardware pipeline; in compute."""
 
 _TILE = 8
 
@@ -19,15 +25,21 @@ _TILE = 8
 class Rasterizer:
     """The pipelines of a terrain, made when a module is first drawn."""
 
-    def __init__(self, clipmap: Clipmap) -> None:
+    def __init__(self, clipmap: Clipmap, path: str = "auto") -> None:
+        """`path`: one of `PATHS`. Raises SettingsError where the adapter cannot follow it."""
         self._clipmap = clipmap
         gpu = clipmap.gpu
+        if path not in PATHS:
+            raise expected_name("rasteriser", path, PATHS)
+        if path == "compute" and not can_rasterize(gpu):
+            raise SettingsError("rasteriser: the adapter lacks 64-bit atomics; choose 'auto' or 'hardware'")
         self.read_layout = gpu.layout("surface", READ_LAYOUT)
         """Layout of `Surface.read_group`."""
         self._write_layout = gpu.layout("surface targets", WRITE_LAYOUT)
         self._empty_layout = gpu.layout("nothing", {})
         self._empty_group = gpu.bind("nothing", self._empty_layout, {})
         self._pipelines: dict[tuple[Any, ...], Any] = {}
+        self._compute = ComputeRasterizer(clipmap, self._write_layout) if _wants_compute(path, gpu) else None
 
     def surface(self, size: tuple[int, int]) -> Surface:
         """A surface buffer of (width, height) pixels."""
@@ -42,15 +54,31 @@ class Rasterizer:
         surface: Surface,
         *,
         clear: bool = True,
+        edges: bool = True,
     ) -> None:
-        """Draw into the surface, cleared first unless `clear` is off; the nearest surface wins, whatever drew it."""
+        """Draw into the surface, cleared first unless `clear` is off; the nearest surface wins, whatever drew it.
+
+        `edges`: whether distances to triangle edges are needed.
+        """
         rays = [draw for draw in draws if isinstance(draw, Rays)]
         patches = [draw for draw in draws if isinstance(draw, Patches)]
         # rays alone need no clearing: that costs more than they do
         if patches or (clear and not rays):
-            self._draw_patches(encoder, timer, patches, view, surface, clear)
+            if self._compute and patches and self._compute.can_draw(patches):
+                self._compute.record(encoder, timer, patches, view, surface, clear=clear, edges=edges)
+            else:
+                self._draw_patches(encoder, timer, patches, view, surface, clear)
         for number, draw in enumerate(rays):
             self._cast(encoder, timer, draw, view, surface, first=clear and not patches and number == 0)
+
+    def forget(self) -> None:
+        """Let go of what belongs to draws of earlier frames."""
+        if self._compute:
+            self._compute.forget()
+
+    def incomplete(self) -> bool:
+        """Whether the latest picture lacks something for want of room; asking makes room, so that a repeat is whole."""
+        return self._compute is not None and self._compute.incomplete()
 
     def _draw_patches(
         self,
@@ -79,7 +107,7 @@ class Rasterizer:
             if draw.index is None:
                 run.draw_indirect(draw.indirect.raw, draw.offset)
             else:
-                run.set_index_buffer(draw.index.raw, "uint32")
+                run.set_index_buffer(draw.index.indices.raw, "uint32")
                 run.draw_indexed_indirect(draw.indirect.raw, draw.offset)
         run.end()
 
@@ -110,7 +138,7 @@ class Rasterizer:
         if key not in self._pipelines:
             self._pipelines[key] = self._clipmap.gpu.render(
                 f"{draw.module.path.parent.name} patches",
-                self._shader(draw.module, FOLDER / "patch.wgsl"),
+                self._shader(draw.module, FOLDER / "patch.wgsl", RASTER_COVERED=self._clipmap.heights.covered),
                 "corner",
                 "surface",
                 [{"format": form} for form in FORMATS.values()],
@@ -131,3 +159,8 @@ class Rasterizer:
                 [self._clipmap.layout, draw.module.layout or self._empty_layout, self._write_layout],
             )
         return self._pipelines[key]
+
+
+def _wants_compute(path: str, gpu: Gpu) -> bool:
+    # software drivers draw triangles as fast themselves, and interpolate their depth a little better
+    return path == "compute" or (path == "auto" and gpu.info.kind != "cpu" and can_rasterize(gpu))

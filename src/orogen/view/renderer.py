@@ -83,14 +83,15 @@ class Renderer:
         name: str = DEFAULT,
         settings: Mapping[str, Any] | None = None,
         clipmap: ClipmapSettings | None = None,
+        rasterizer: str = "auto",
     ) -> None:
-        """`name` and `settings`: the algorithm and values of its settings."""
+        """`name` and `settings`: the algorithm and values of its settings. `rasterizer`: see `Rasterizer`."""
         kind = algorithm(name)
         chosen = make_settings(name, settings or {})
         self.gpu = gpu
         self.clipmap = Clipmap(gpu, heights, colors, clipmap)
         self.view = self.clipmap.view()
-        self.rasterizer = Rasterizer(self.clipmap)
+        self.rasterizer = Rasterizer(self.clipmap, rasterizer)
         self.shading = Shading(
             gpu,
             self.clipmap.layout,
@@ -100,8 +101,12 @@ class Renderer:
             image=colors is not None,
         )
         self.timer = gpu.timer()
-        self.algorithm = kind(self.clipmap, chosen)
-        self._state = self.algorithm.view()
+        try:
+            self.algorithm = kind(self.clipmap, chosen)
+            self._state = self.algorithm.view()
+        except BaseException:
+            self.clipmap.close()
+            raise
         self._targets: tuple[Surface, Samples] | None = None
         self._shown: tuple[Any, ...] = ()
         self._frame: Frame | None = None
@@ -117,6 +122,7 @@ class Renderer:
         if self.algorithm.pages:
             self.algorithm.pages.close()
         self.algorithm = following
+        self.rasterizer.forget()
         self._state = self.algorithm.view()
         self._shown = ()
 
@@ -145,7 +151,7 @@ class Renderer:
         frame = self.view.frame_for(frame)
         surface, light = self._targets_for(size)
         depth, record_time = self._draw(frame, surface, light, style, samples)
-        while self._state.incomplete():
+        while self._incomplete():
             depth, record_time = self._draw(frame, surface, light, style, samples)
         color = self._develop(light, style)
         return Picture(
@@ -231,6 +237,10 @@ class Renderer:
         assert depth is not None
         return depth, record_time
 
+    def _incomplete(self) -> bool:
+        # both are asked: asking makes room
+        return sum([self._state.incomplete(), self.rasterizer.incomplete()]) > 0
+
     def _want_more(self, frame: Frame) -> None:
         known = set(self.view.wishes[0])
         self.view.wishes[0] = [*self.view.wishes[0], *(key for key in self._state.wants(frame) if key not in known)]
@@ -240,9 +250,10 @@ class Renderer:
         self.view.update(frame)
         encoder = self.gpu.encoder("frame")
         draws = self._state.record(encoder, self.timer, frame, self.view)
-        self.rasterizer.record(encoder, self.timer, draws, self.view, surface)
+        edges = "wireframe" in style.overlays
+        self.rasterizer.record(encoder, self.timer, draws, self.view, surface, edges=edges)
         added = self._state.drawn(encoder, self.timer, frame, self.view, surface.targets["depth"])
-        self.rasterizer.record(encoder, self.timer, added, self.view, surface, clear=False)
+        self.rasterizer.record(encoder, self.timer, added, self.view, surface, clear=False, edges=edges)
         self.shading.record(encoder, self.timer, frame, self.view.bind_group, surface.read_group, light, style)
         self.timer.resolve(encoder)
         self.gpu.submit(encoder)

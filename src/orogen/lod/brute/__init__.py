@@ -15,6 +15,7 @@ from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import FrameTimer
 from orogen.keys import NodeKey
 from orogen.lod.contract import Algorithm, AlgorithmView, Draw, Module, Patches, Statistics
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 from orogen.streaming.requests import wanted
@@ -58,7 +59,7 @@ class View(AlgorithmView):
         gpu = algorithm.clipmap.gpu
         tiles = gpu.buffer("brute tiles", 16 * algorithm.tile_count, "STORAGE|COPY_DST", "brute")
         self._tiles = tiles
-        self._draws = gpu.buffer("brute draws", 40, "INDIRECT|STORAGE|COPY_DST", "brute")
+        self._draws = gpu.buffer("brute draws", 40, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "brute")
         self._slots = gpu.buffer("brute slots", algorithm.slots(), "STORAGE", "brute")
         self._slots_version = algorithm.clipmap.heights.version
         self._group = gpu.bind("brute", algorithm.module.layout, {0: tiles, 1: self._slots})
@@ -127,7 +128,7 @@ class Brute(Algorithm):
         self.index_counts = lists[0].size, lists[1].size
         """Numbers of vertices listed for a plain tile and for a split one, which follow each other in `index`."""
         gpu, read = clipmap.gpu, ("VERTEX|COMPUTE", "read")
-        self.index = gpu.buffer("brute index", np.concatenate(lists), "INDEX|STORAGE", "brute")
+        self.index = Mesh(gpu, lists, "brute")
         constants = {
             "TILE": TILE, "SPLIT": split, "STEP": (1 << bits) // split, "NODE_COLUMNS": heights.grid.nodes(0)[1],
             "NEAR_TILES": self.tile_count, "NEAR": NEAR,
@@ -161,7 +162,7 @@ class Brute(Algorithm):
 
 
 def index_list(split: int, step: int) -> NDArray[np.uint32]:
-    """(n,) vertices of the triangles of a tile, of `split` x `split` vertices a sample, quads of `step` of them a side.
+    """(n, 3) vertices of the triangles of a tile, `split` x `split` vertices a sample, quads of `step` a side.
 
     Vertices are counted row by row. A finer tile has no vertices on its border but those of its samples, so that it
     fits its neighbours: others move to the sample before them, which is exact, because a bilinear surface is straight
@@ -173,4 +174,4 @@ def index_list(split: int, step: int) -> NDArray[np.uint32]:
     row, column = np.where(on_side, row - row % split, row), np.where(on_end, column - column % split, column)
     vertex = row * (last + 1) + column
     a, b, c, d = vertex[:-1, :-1], vertex[:-1, 1:], vertex[1:, :-1], vertex[1:, 1:]
-    return np.stack([a, c, b, b, c, d], axis=-1).ravel().astype(np.uint32)
+    return np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3).astype(np.uint32)

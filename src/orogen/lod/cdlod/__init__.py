@@ -17,6 +17,7 @@ from orogen.lod.cdlod.ground import Ground
 from orogen.lod.cdlod.ranges import Ranges
 from orogen.lod.cdlod.seams import COARSER_BIT
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
@@ -78,7 +79,7 @@ class View(AlgorithmView):
         self._algorithm = algorithm
         gpu = algorithm.clipmap.gpu
         self._block = gpu.buffer("cdlod", _BLOCK.itemsize, "UNIFORM|COPY_DST", "cdlod")
-        self._draws = gpu.buffer("cdlod draws", 2 * _ARGUMENTS, "INDIRECT|STORAGE|COPY_DST", "cdlod")
+        self._draws = gpu.buffer("cdlod draws", 2 * _ARGUMENTS, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "cdlod")
         self._counts = np.zeros(2, np.int64)
         self._grow(256)
 
@@ -122,7 +123,7 @@ class Cdlod(Algorithm):
 
     name = "cdlod"
     Settings = Settings
-    detail = Detail("pixels_per_quad", 0.5, 64.0)
+    detail = Detail("pixels_per_quad", 0.5, 256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)
@@ -136,9 +137,7 @@ class Cdlod(Algorithm):
         self.ground_buffer = gpu.buffer("cdlod ground", self.ground.heights, "STORAGE", "cdlod")
         lists = [grid_triangles(settings.grid_size, step) for step in (1, 2)]
         self.triangles = np.array([len(triangles) for triangles in lists])
-        self.index = gpu.buffer(
-            "cdlod index", np.concatenate([lists[0], lists[1] | 1 << THINNED_BIT]), "INDEX|STORAGE", "cdlod"
-        )
+        self.index = Mesh(gpu, [lists[0], lists[1] | 1 << THINNED_BIT], "cdlod")
         stages = "VERTEX|COMPUTE"
         self.module = Module(
             FOLDER / "cdlod.wgsl",

@@ -13,6 +13,7 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.chunked_lod.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Patches, Statistics
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import Ints, PatchFrame, PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
@@ -34,7 +35,7 @@ class Grids:
         self.module = Module(FOLDER / "grid.wgsl", layout, {"SIDE": n})
         triangles = grid_triangles(n)
         self.triangle_count = len(triangles)
-        self.index = gpu.buffer("chunked_lod triangles", triangles.astype(np.uint32), "INDEX|STORAGE", "chunked_lod")
+        self.index = Mesh(gpu, [triangles], "chunked_lod")
 
 
 class GridView(AlgorithmView):
@@ -44,7 +45,7 @@ class GridView(AlgorithmView):
         self._grids = grids
         self._gpu = grids.clipmap.gpu
         self._pixels = settings.pixels_per_quad
-        self._arguments = self._gpu.buffer("chunked_lod draw", 20, "INDIRECT|STORAGE|COPY_DST", "chunked_lod")
+        self._arguments = self._gpu.buffer("chunked_lod draw", 20, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "chunked_lod")
         self._list: Buffer | None = None
         self._group: Any = None
         self._statistics = Statistics()

@@ -53,7 +53,7 @@ class MeshView(AlgorithmView):
         self._maker = maker
         self._pages = pages
         self._module = draws
-        self._arguments = self._gpu.buffer("chunked_lod draw", 16, "INDIRECT|STORAGE|COPY_DST", "chunked_lod")
+        self._arguments = self._gpu.buffer("chunked_lod draw", 16, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "chunked_lod")
         self._chunks: Buffer | None = None
         self._clusters: Buffer | None = None
         self._group: tuple[Any, ...] = ()
@@ -76,7 +76,8 @@ class MeshView(AlgorithmView):
         self._clusters = self._written(self._clusters, "chunked_lod clusters", clusters)
         self._gpu.write(self._arguments, np.array([3 * CLUSTER, len(clusters), 0, 0], np.uint32))
         self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=counts.size, draws=1)
-        return [Patches(self._module, self._bound(), self._arguments, "triangle-list")]
+        # skirts lean out a little
+        return [Patches(self._module, self._bound(), self._arguments, "triangle-list", overhangs=True)]
 
     def statistics(self) -> Statistics:
         """Chunks as patches; triangles of all clusters, those that only fill them up included."""

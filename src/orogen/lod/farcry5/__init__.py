@@ -16,6 +16,7 @@ from orogen.gpu import FrameTimer, Readback, Texture
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.farcry5.lattice import BLOCK, PATCHES, lattice
 from orogen.lod.farcry5.occlusion import DepthPyramid
+from orogen.lod.mesh import Mesh, grid_triangles
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -72,7 +73,7 @@ class View(AlgorithmView):
         gpu = algorithm.clipmap.gpu
         self._block = gpu.buffer("farcry5", BLOCK.itemsize, "UNIFORM|COPY_DST", "farcry5")
         self._state = gpu.buffer("farcry5 state", _STATE.itemsize, "STORAGE|COPY_SRC", "farcry5")
-        self._arguments = gpu.buffer("farcry5 arguments", _ARGUMENTS, "STORAGE|INDIRECT", "farcry5")
+        self._arguments = gpu.buffer("farcry5 arguments", _ARGUMENTS, "STORAGE|INDIRECT|COPY_SRC", "farcry5")
         self._arguments_group = gpu.bind("farcry5 arguments", algorithm.arguments_layout, {0: self._arguments})
         self._counts_group = gpu.bind("farcry5 counts", algorithm.counts_layout, {0: self._block, 1: self._state})
         self._pyramid = DepthPyramid(gpu, algorithm.pyramid_layout, algorithm.reduce_surface, algorithm.reduce_cells)
@@ -277,7 +278,7 @@ class FarCry5(Algorithm):
 
     name = "farcry5"
     Settings = Settings
-    detail = Detail("pixels_per_quad", finest=0.5, coarsest=64.0)
+    detail = Detail("pixels_per_quad", finest=0.5, coarsest=256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)
@@ -296,7 +297,8 @@ class FarCry5(Algorithm):
         vertex_layout = gpu.layout("farcry5 drawn", {0: (stages, "uniform"), 1: (stages, "read"), 2: (stages, "read")})
         constants = {"QUADS": quads, "NODE_QUADS_BITS": (PATCHES * quads).bit_length() - 1}
         self.module = Module(FOLDER / "vertex.wgsl", vertex_layout, constants)
-        self.index = gpu.buffer("farcry5 grid", grid_indices(quads), "INDEX|STORAGE", "farcry5")
+        # turned the way that the tests of back faces count on
+        self.index = Mesh(gpu, [grid_triangles(quads, quads)[:, [0, 2, 1]]], "farcry5")
         self.measures = settings.frustum or settings.back_face or settings.occlusion
         """Whether patches are culled by what their triangles are, beside where they may be."""
         culls = {
@@ -332,10 +334,3 @@ class FarCry5(Algorithm):
     def view(self) -> View:
         """State for one more view."""
         return View(self)
-
-
-def grid_indices(quads: int) -> np.ndarray:
-    """(quads * quads * 6,) vertex numbers of the triangles of a grid, row by row, with falling diagonals."""
-    first = (np.arange(quads)[:, None] * (quads + 1) + np.arange(quads)).reshape(-1, 1)
-    corners = np.array([0, 1, quads + 1, 1, quads + 2, quads + 1])
-    return (first + corners).astype(np.uint32).ravel()

@@ -15,6 +15,7 @@ from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.frostbite.patterns import PATTERNS, QUADS, Bits, index_lists, pattern_of
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree, neighbour_steps
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
@@ -49,7 +50,9 @@ class View(AlgorithmView):
         self._algorithm = algorithm
         gpu = algorithm.clipmap.gpu
         self._block = gpu.buffer("frostbite", _BLOCK.itemsize, "UNIFORM|COPY_DST", "frostbite")
-        self._draws = gpu.buffer("frostbite draws", _ARGUMENTS * PATTERNS, "INDIRECT|STORAGE|COPY_DST", "frostbite")
+        self._draws = gpu.buffer(
+            "frostbite draws", _ARGUMENTS * PATTERNS, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "frostbite"
+        )
         self._counts = np.zeros(PATTERNS, np.int64)
         self._grow(256)
 
@@ -92,7 +95,7 @@ class Frostbite(Algorithm):
 
     name = "frostbite"
     Settings = Settings
-    detail = Detail("pixels_per_quad", 0.5, 64.0)
+    detail = Detail("pixels_per_quad", 0.5, 256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)
@@ -104,7 +107,7 @@ class Frostbite(Algorithm):
         self.quad_metres = float(np.linalg.norm(clipmap.grid.metres, axis=0).max()) / finest
         lists = index_lists()
         self.triangles = np.array([len(triangles) for triangles in lists])
-        self.index = gpu.buffer("frostbite index", np.concatenate(lists), "INDEX|STORAGE", "frostbite")
+        self.index = Mesh(gpu, lists, "frostbite")
         stages = "VERTEX|COMPUTE"
         self.module = Module(
             FOLDER / "vertex.wgsl",

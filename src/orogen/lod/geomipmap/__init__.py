@@ -17,6 +17,7 @@ from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, 
 from orogen.lod.geomipmap.errors import drawn_samples, measured
 from orogen.lod.geomipmap.levels import Levels
 from orogen.lod.geomipmap.patterns import LIST_BIT, LISTS, NO_COLUMNS_BIT, NO_ROWS_BIT, index_lists
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
@@ -58,7 +59,9 @@ class View(AlgorithmView):
         self._algorithm = algorithm
         gpu, lists = algorithm.clipmap.gpu, len(algorithm.triangles)
         self._starts = gpu.buffer("geomipmap", 16 * lists, "UNIFORM|COPY_DST", "geomipmap")
-        self._draws = gpu.buffer("geomipmap draws", _ARGUMENTS * lists, "INDIRECT|STORAGE|COPY_DST", "geomipmap")
+        self._draws = gpu.buffer(
+            "geomipmap draws", _ARGUMENTS * lists, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "geomipmap"
+        )
         self._counts = np.zeros(lists, np.int64)
         self._seen = 0
         self._grow(256)
@@ -84,7 +87,15 @@ class View(AlgorithmView):
         gpu.write(self._starts, starts)
         gpu.write(self._draws, algorithm.arguments(self._counts))
         return [
-            Patches(algorithm.module, self._group, self._draws, "triangle-list", algorithm.index, _ARGUMENTS * int(n))
+            Patches(
+                algorithm.module,
+                self._group,
+                self._draws,
+                "triangle-list",
+                algorithm.index,
+                _ARGUMENTS * int(n),
+                overhangs=True,
+            )
             for n in np.flatnonzero(self._counts)
         ]
 
@@ -119,7 +130,7 @@ class Geomipmap(Algorithm):
         quads = settings.block_size << finer
         lists = index_lists(quads)
         self.triangles = np.array([len(triangles) for triangles in lists])
-        self.index = gpu.buffer("geomipmap index", np.concatenate(lists), "INDEX|STORAGE", "geomipmap")
+        self.index = Mesh(gpu, lists, "geomipmap")
         stages = "VERTEX|COMPUTE"
         self.module = Module(
             FOLDER / "geomipmap.wgsl",

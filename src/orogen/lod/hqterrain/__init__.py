@@ -54,7 +54,7 @@ class View(AlgorithmView):
     def __init__(self, algorithm: HqTerrain) -> None:
         self._algorithm = algorithm
         self._gpu = algorithm.clipmap.gpu
-        usage = "INDIRECT|STORAGE|COPY_DST"
+        usage = "INDIRECT|STORAGE|COPY_SRC|COPY_DST"
         self._arguments = self._gpu.buffer("hqterrain draws", 32, usage, "hqterrain")
         self._buffers: dict[str, Buffer] = {}
         self._group: tuple[Any, ...] = ()

@@ -118,7 +118,7 @@ class View(AlgorithmView):
         gpu = algorithm.clipmap.gpu
         self._block = gpu.buffer("pgm", _BLOCK.itemsize, "UNIFORM|COPY_DST", "pgm")
         self._integrals = gpu.buffer("pgm integrals", 4 * _IMAGE_COLUMNS * (_IMAGE_ROWS + 1), "STORAGE", "pgm")
-        self._arguments = gpu.buffer("pgm draw", 16, "INDIRECT|COPY_DST", "pgm")
+        self._arguments = gpu.buffer("pgm draw", 16, "INDIRECT|COPY_SRC|COPY_DST", "pgm")
         self._warp_group = gpu.bind("pgm warp", algorithm.warp_layout, {0: self._block, 1: self._integrals})
         self._vertices: Buffer | None = None
         self._bound = BoundView(algorithm.bound) if algorithm.bound else None
@@ -171,7 +171,7 @@ class View(AlgorithmView):
         run.dispatch_workgroups(columns // _GROUP + 1, rows // _GROUP + 1)
         run.end()
         self._statistics = Statistics(triangles=(each - 2) * rows, patches=1, draws=1)
-        grid = Patches(algorithm.module, self._vertex_group, self._arguments)
+        grid = Patches(algorithm.module, self._vertex_group, self._arguments, overhangs=True)
         if not self._bound:
             return [grid]
         prisms, rays = self._bound.record(encoder, timer, frame, view, columns * rows, settings.max_error)

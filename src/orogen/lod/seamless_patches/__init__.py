@@ -14,6 +14,7 @@ from orogen.errors import SettingsError
 from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
+from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchTree
 from orogen.lod.seamless_patches.edges import Edges
 from orogen.lod.seamless_patches.meshes import Bits, index_lists, resolutions
@@ -61,7 +62,9 @@ class View(AlgorithmView):
         meshes = len(algorithm.triangles)
         self._block_type = np.dtype([("unit", "u4"), ("padding", "u4", 3), ("starts", "u4", (meshes, 4))])
         self._block = gpu.buffer("seamless patches", self._block_type.itemsize, "UNIFORM|COPY_DST", algorithm.name)
-        self._draws = gpu.buffer("seamless draws", _ARGUMENTS * meshes, "INDIRECT|STORAGE|COPY_DST", algorithm.name)
+        self._draws = gpu.buffer(
+            "seamless draws", _ARGUMENTS * meshes, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", algorithm.name
+        )
         self._counts = np.zeros(meshes, np.int64)
         self._patches = 0
         self._grow(1024)
@@ -105,7 +108,7 @@ class SeamlessPatches(Algorithm):
 
     name = "seamless_patches"
     Settings = Settings
-    detail = Detail("pixels_per_quad", 0.5, 64.0)
+    detail = Detail("pixels_per_quad", 0.5, 256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)
@@ -116,7 +119,7 @@ class SeamlessPatches(Algorithm):
         self.kinds = len(resolutions(most))
         lists = index_lists(most)
         self.triangles = np.array([len(triangles) for triangles in lists])
-        self.index = gpu.buffer("seamless index", np.concatenate(lists), "INDEX|STORAGE", self.name)
+        self.index = Mesh(gpu, lists, self.name)
         stages = "VERTEX|COMPUTE"
         self.module = Module(
             FOLDER / "vertex.wgsl",

@@ -14,6 +14,7 @@ from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
 from orogen.gpu import FrameTimer, Readback
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
+from orogen.lod.mesh import Mesh, grid_triangles
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -83,7 +84,7 @@ class View(AlgorithmView):
         self._block = gpu.buffer("udlod", _BLOCK.itemsize, "UNIFORM|COPY_DST", "udlod")
         self._state = gpu.buffer("udlod state", _STATE.itemsize, "STORAGE|COPY_SRC", "udlod")
         self._dispatch = gpu.buffer("udlod dispatch", 12, "STORAGE|INDIRECT", "udlod")
-        self._draw = gpu.buffer("udlod draw", 16, "STORAGE|INDIRECT", "udlod")
+        self._draw = gpu.buffer("udlod draw", 20, "STORAGE|INDIRECT|COPY_SRC", "udlod")
         self._arguments_group = gpu.bind(
             "udlod arguments", algorithm.arguments_layout, {0: self._dispatch, 1: self._draw}
         )
@@ -134,7 +135,7 @@ class View(AlgorithmView):
         self._frames += 1
         if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits):
             self._watch = self._capacity, algorithm.clipmap.gpu.read_buffer(self._state, encoder=encoder)
-        return [Patches(algorithm.module, self._vertex_group, self._draw)]
+        return [Patches(algorithm.module, self._vertex_group, self._draw, "triangle-list", algorithm.index)]
 
     def _keep_up(self) -> None:
         """Make room where an earlier frame is known to have lacked it, without waiting for the GPU."""
@@ -169,7 +170,7 @@ class Udlod(Algorithm):
 
     name = "udlod"
     Settings = Settings
-    detail = Detail("pixels_per_quad", 0.5, 64.0)
+    detail = Detail("pixels_per_quad", 0.5, 256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         super().__init__(clipmap, settings)
@@ -182,6 +183,8 @@ class Udlod(Algorithm):
         self.module = Module(
             FOLDER / "vertex.wgsl", gpu.layout("udlod tiles", {0: (stages, "uniform"), 1: (stages, "read")})
         )
+        size = settings.grid_size
+        self.index = Mesh(gpu, [grid_triangles(size, size)], "udlod")
         search = [FOLDER, *SEARCH]
         refine = gpu.shader("udlod refine", FOLDER / "refine.wgsl", search=search, constants=clipmap.constants)
         prepare = gpu.shader("udlod prepare", FOLDER / "prepare.wgsl", search=search, constants=clipmap.constants)

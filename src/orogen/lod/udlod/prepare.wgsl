@@ -3,7 +3,7 @@
 
 struct State { parents: u32, children: u32, finals: u32, backwards: u32, overflow: u32, tiles: u32 }
 struct Arguments { groups_x: u32, groups_y: u32, groups_z: u32 }
-struct DrawArguments { vertices: u32, instances: u32, first_vertex: u32, first_instance: u32 }
+struct DrawArguments { indices: u32, instances: u32, first_index: u32, base_vertex: u32, first_instance: u32 }
 
 @group(1) @binding(1) var<storage, read_write> state: State;
 @group(1) @binding(2) var<storage, read_write> temporary_tiles: array<Tile>;
@@ -27,6 +27,5 @@ fn prepare_next() {
 
 @compute @workgroup_size(1)
 fn prepare_render() {
-    let vertices_per_tile = 2u * (udlod.grid_size + 2u) * udlod.grid_size;   // equation 4.2
-    draw = DrawArguments(vertices_per_tile, state.finals, 0u, 0u);
+    draw = DrawArguments(6u * udlod.grid_size * udlod.grid_size, state.finals, 0u, 0u, 0u);
 }

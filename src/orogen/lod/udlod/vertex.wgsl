@@ -3,11 +3,10 @@
 
 @group(1) @binding(1) var<storage, read> tiles: array<Tile>;
 
-// Position in the grid of a tile's vertex: columns as triangle strips, joined by repeated vertices (equation 4.4).
+// Position in the grid of a tile's vertex, which are numbered row by row.
 fn grid_position(vertex: u32) -> vec2<u32> {
-    let vertices_per_row = 2u * (udlod.grid_size + 2u);
-    let row = clamp(vertex % vertices_per_row, 1u, vertices_per_row - 2u) - 1u;
-    return vec2<u32>(vertex / vertices_per_row + (row & 1u), row >> 1u);
+    let columns = udlod.grid_size + 1u;
+    return vec2<u32>(vertex % columns, vertex / columns);
 }
 
 // 0 where the level's own grid stands, 1 where it has become that of the next level (figure 5.5).
