@@ -111,7 +111,13 @@ def _numbers(folder: Path) -> dict[str, Any]:
     budget = f", about {plan['equal_triangles']:,} triangles each" if plan.get("equal_triangles") else ""
     name = Path(str(plan["data"])).name
     flight = plan["flight"]
-    caption = f"Flight `{flight['name']}` over {name}, {flight['frames']} frames at {width} x {height}{budget}."
+    count = f" --equal-triangles {plan['equal_triangles']}" if plan.get("equal_triangles") else ""
+    prelit = " --prelit" if plan["prelit"] else ""
+    command = f"orogen compare {name} --flight {flight['name']} --size {width}x{height} --frames {flight['frames']}"
+    caption = (
+        f"Flight `{flight['name']}` over {name}, {flight['frames']} frames at {width} x {height}{budget} "
+        f"(`{command}{count}{prelit}`)."
+    )
     return {"caption": caption, "entries": entries}
 
 
