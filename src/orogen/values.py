@@ -11,6 +11,9 @@ from orogen.errors import SettingsError
 
 T = TypeVar("T")
 
+SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
+"""Words for whether something is switched on."""
+
 
 def expected_name(what: str, name: str, known: Iterable[str]) -> SettingsError:
     """The error for a name that does not exist, with what does and the nearest one."""
@@ -46,7 +49,7 @@ def _parsed(what: str, field: dataclasses.Field[Any], value: Any) -> Any:
         return None
     try:
         if kind.startswith("bool"):
-            return {"true": True, "1": True, "false": False, "0": False}[value.lower()]
+            return SWITCHES[value.lower()]
         if kind.startswith("int"):
             return int(value)
         if kind.startswith("float"):

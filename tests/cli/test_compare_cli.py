@@ -81,6 +81,7 @@ QUICK = (
         (("-o", "OUT", "--crop", "0,0,500,50"), "crop: expected a part of the 128 x 96 samples of"),
         (("-o", "OUT", "--frames", "3", "--every", "2"), "either a number of frames or every so many"),
         (("-o", "OUT", "--equal-time", "3", "--equal-triangles", "3"), "expected one of them, got both"),
+        (("-o", "OUT", "--equal-triangles", "3,x"), "expected one or more whole numbers separated by ',', got '3,x'"),
         (("-o", "OUT", "--flight", "orbits"), "built-in flights"),
         (("-o", "OUT", "--flight", "descent-taiwan"), "descent-taiwan: outside the data: at 0 s"),
         (("-o", "OUT", "--set", "memory"), "--set: expected KEY=VALUE, got 'memory'"),
@@ -123,3 +124,29 @@ def test_a_comparison_writes_a_report_and_is_not_overwritten(call, dem, tmp_path
     assert "expected a new folder or a comparison" in err[0]
     assert call(*arguments, "--force")[0] == 0
     assert json.loads((out / "plan.json").read_text())["prelit"] is False
+
+
+def test_tables_at_several_numbers_of_triangles(call, dem, tmp_path) -> None:
+    out = tmp_path / "out"
+    arguments = ("compare", dem, "-o", out, "--entry", "GRID=pgm", "--entry", "raycast", *QUICK)
+    # a grid of 8 columns is the least there is
+    code, text, err = call(*arguments, "--equal-triangles", "4000,3", "--json")
+    assert code == 0
+    assert [line for line in err if "GRID 3: pixels_per_column=" in line] == err
+    found = json.loads(text)
+    assert found["entries"] == ["GRID 4,000", "GRID 3", "raycast"]
+    assert [(row["label"], row["target"], row["met"]) for row in found["targets"]] == [
+        ("GRID", 4000, True), ("GRID", 3, False), ("raycast", None, None)
+    ]  # fmt: skip
+    # the rays' PSNR is infinite, which the command does not write
+    assert found["targets"][:2] == json.loads((out / "results.json").read_text())["targets"][:2]
+    assert found["targets"][0]["triangles"] == pytest.approx(4000, rel=0.25)
+    # the same as text, from the finished comparison
+    code, text, _ = call(*arguments, "--equal-triangles", "4000,3")
+    assert code == 0
+    lines = text.splitlines()
+    assert lines[0].startswith("4,000 triangles")
+    rows = [line.split()[0] for line in lines if line.startswith(("GRID  ", "raycast  "))]
+    assert rows == ["GRID", "GRID", "raycast"]
+    assert any(line.startswith("GRID does not come nearer to 3 triangles than ") for line in lines)
+    assert lines[-1] == str(out / "report.html")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -83,6 +84,11 @@ def test_every_algorithm_takes_part_unless_told() -> None:
         ({"frames": 0}, "frames: expected a whole number, at least 1, got 0"),
         ({"repeats": 0}, "repeats: expected a whole number, at least 1"),
         ({"equal_triangles": -3}, "equal_triangles: expected a whole number"),
+        ({"equal_triangles": (3000, 0)}, "equal_triangles: expected a whole number, at least 1, got 0"),
+        (
+            {"entries": (Entry("udlod"), Entry("raycast", {}, "udlod 3")), "equal_triangles": (3,)},
+            "got 'udlod 3' twice",
+        ),
         ({"equal_time": math.nan}, "equal_time: expected more than 0 milliseconds"),
         ({"equal_time": 1.0, "equal_triangles": 5}, "expected one of them, got both"),
         ({"crop": (-1, 0, 5, 5)}, "crop: expected a column and a row from 0"),
@@ -94,6 +100,21 @@ def test_every_algorithm_takes_part_unless_told() -> None:
 def test_plans_that_cannot_be(options: dict, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         Plan("synthetic", **{"entries": (Entry("raycast"),), **options})
+
+
+def test_several_numbers_of_triangles_make_entries() -> None:
+    entries = (Entry("raycast"), Entry("udlod", {"grid_size": 8}, "FINE"), *parse_sweep("udlod.pixels_per_quad=2", []))
+    plan = Plan("synthetic", entries, equal_triangles=(500_000, 3000, 3000))
+    # neither rays nor what a sweep varies can be set
+    assert [e.label for e in plan.entries] == ["raycast", "FINE 500,000", "FINE 3,000", "udlod pixels_per_quad=2"]
+    assert [e.target and e.target.triangles for e in plan.entries] == [None, 500_000, 3000, None]
+    assert [e.target and e.target.label for e in plan.entries] == [None, "FINE", "FINE", None]
+    assert {e.values()["grid_size"] for e in plan.entries[1:3]} == {8}
+    # a change of the plan does not multiply them again
+    assert dataclasses.replace(plan, size=(24, 16)).entries == plan.entries
+    assert plan.request()["equal_triangles"] == [500_000, 3000, 3000]
+    one = Plan("synthetic", entries, equal_triangles=3000)
+    assert one.entries == entries
 
 
 def test_prelit_pictures_have_no_other_light() -> None:

@@ -21,13 +21,13 @@ from PIL import Image
 
 from orogen.compare import report
 from orogen.compare.metrics import psnr
-from orogen.compare.report import charts, pictures
+from orogen.compare.report import charts, pictures, targets
 from orogen.compare.report.results import Comparison, flatten, read, summarise
 from orogen.compare.report.svg import Axis, Plot, Point, number
 from orogen.errors import SettingsError
 
 FRAMES = 6
-ALL = ["psnr", "ssim", "flip", "surface", "cracks", "stability"]
+ALL = ["psnr", "ssim", "flip", "shapes", "surface", "cracks", "stability"]
 
 
 def record(frame: int, quality: float, time: float, algorithm: str) -> dict[str, Any]:
@@ -41,6 +41,9 @@ def record(frame: int, quality: float, time: float, algorithm: str) -> dict[str,
         "memory": {"gpu": {"atlas": 2_000_000, algorithm: 500_000}, "host": 90_000_000 + frame},
         "mse": 255**2 / 10 ** (quality / 10), "psnr": quality + frame, "ssim": 0.9, "flip": 0.05,
         "forward": spread, "backward": {**spread, "p99": 4 * error}, "hidden": 0.01, "stray": 0.0,
+        "shapes": {"degenerate": 100, "slivers": 50 * (frame + 1), "degenerate_share": 0.1 / (frame + 1),
+                   "sliver_share": 0.05, "smallest_angle": 40.0 + frame},
+        "angles": {"00": 50 * (frame + 1), "30": 150 * (frame + 1), "45": 800 * (frame + 1) - 100},
         "cracks": frame % 2, "lost": 3, "skyline_mean": 0.1, "skyline_max": 2.0,
         "instability_mean": None if first else 0.02, "instability_p99": None if first else 0.2,
         "swimming": None if first else 0.01, "popping": None if first else 0.003,
@@ -73,7 +76,7 @@ def make(tmp_path: Path) -> Make:
                 {
                     "label": entry["label"], "algorithm": entry["algorithm"], "settings": settings,
                     "given": {"morph": True}, "calibrated": entry.get("calibrated"), "sweep": entry.get("sweep"),
-                    "folder": f"entry{place}",
+                    "folder": f"entry{place}", "target": entry.get("target"),
                 }
             )  # fmt: skip
             records = [record(k, entry["quality"], entry["gpu"], entry["algorithm"]) for k in range(frames)]
@@ -402,6 +405,102 @@ def test_sweeps_are_curves(make: Make) -> None:
     assert [entry.label for entry in comparison.shown] == ["other"]
     page = page_of(comparison.folder)
     assert "PSNR against udlod.pixels_per_quad" in "".join(page.texts)
+
+
+def swept(*values: int) -> list[dict[str, Any]]:
+    return [
+        {"label": f"q={value}", "algorithm": "udlod", "quality": 40.0 - value, "gpu": 8.0 / value,
+         "sweep": {"setting": "pixels_per_quad", "value": value}}
+        for value in values
+    ]  # fmt: skip
+
+
+def graphs(text: str) -> dict[str, list[tuple[str, str, int]]]:
+    """By title the series of each graph: name, classes of the line style, points."""
+    found: dict[str, list[tuple[str, str, int]]] = {}
+    for title, content in re.findall(r"<figure><figcaption>([^<]*)</figcaption>(.*?)</figure>", text, re.DOTALL):
+        lines = re.findall(
+            r'<g class="series ([^"]*)" data-series="([^"]*)">.*?<path class="line" d="([^"]*)"', content
+        )
+        found[title] = [(name, style, len(re.findall("[ML]", path))) for style, name, path in lines]
+    return found
+
+
+def test_a_sweep_is_seen_frame_by_frame(make: Make) -> None:
+    """As in figures 26 to 28 of Schmiade (2008): time and triangles at each step, all values in one graph."""
+    text = report.write(make(swept(8, 2, 4))).read_text(encoding="utf-8")
+    section = text[text.index('<section id="sweeps">') :]
+    section = section[: section.index("</section>")]
+    found = graphs(section)
+    legend = re.search(r'<ul class="legend">.*?</ul>', section, re.DOTALL)
+    assert legend is not None
+    for title in ("GPU time over the flight", "Triangles over the flight"):
+        assert [(name, points) for name, _, points in found[title]] == [(f"q={n}", FRAMES) for n in (2, 4, 8)]
+        assert len({style for _, style, _ in found[title]}) == 3
+        for name, style, _ in found[title]:
+            sample = legend[0][legend[0].index(f'data-series="{name}"') :]
+            assert sample.index(f'class="series {style}"') < sample.index("</li>")
+    # numbers of frames, 10 apart
+    assert ">50</text>" in section
+    assert ">frame</text>" in section
+    # without other entries the graphs over the flight show the sweep too, and its lines can be told apart
+    assert len({style for _, style, _ in graphs(text)["PSNR over the flight"]}) == 3
+
+
+def test_shapes_of_triangles(make: Make) -> None:
+    folder = make()
+    page = page_of(folder)
+    shapes = page.table("Smallest angle, mean (°)")
+    # triangles, degenerate and slivers a frame; their shares, the most slivers of a frame; the angle
+    assert shapes["plain"] == ["3 500", "100", "175", "4.08 %", "5 %", "5 %", "42.5"]
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    ((_, _, points), *others) = graphs(text)["Triangles by their smallest angle"]
+    assert (points, len(others)) == (3, 2)
+
+    def rays(part: dict[str, Any]) -> None:
+        part["shapes"] = part["angles"] = None
+
+    bare = page_of(make(change=rays))
+    assert "No graph: the algorithm draws no triangles" in "".join(bare.texts)
+    assert all(cell.startswith("–") for cell in bare.table("Smallest angle, mean (°)")["plain"][1:])
+
+
+def test_tables_at_equal_triangles(make: Make) -> None:
+    assert "Equal triangles" not in "".join(page_of(make()).texts)
+    assert targets.rows(read(make())) == []
+    entries = [
+        {"label": f"{name} {number:,}", "algorithm": name, "quality": quality, "gpu": 1.0,
+         "target": {"triangles": number, "label": name},
+         "calibrated": {"setting": "tau", "value": 2.0, "target": float(number), "reached": reached,
+                        "met": number == reached}}
+        for name, quality, reached in (("udlod", 30.0, 3000.0), ("frostbite", 28.0, 15238.0))
+        for number in (3000, 500_000)
+    ]  # fmt: skip
+    entries.append({"label": "brute", "algorithm": "brute", "quality": 33.0, "gpu": 9.0})
+    folder = make(entries, equal_triangles=[3000, 500_000])
+    comparison = read(folder)
+    assert [e.label for e in comparison.shown] == ["udlod 3,000", "frostbite 3,000", "brute"]
+    assert len(set(comparison.styles.values())) == 3
+    rows = targets.rows(comparison)
+    assert [(row["target"], row["label"], row["met"]) for row in rows] == [
+        (3000, "udlod", True), (3000, "frostbite", False), (500_000, "udlod", False), (500_000, "frostbite", False),
+        (None, "brute", None),
+    ]  # fmt: skip
+    error = 10 ** (-30 / 20)
+    first = rows[0]
+    assert (first["triangles"], first["gpu"], first["cpu"], first["wall"]) == (3500, 1.0, 0.3, None)
+    assert (first["error_mean"], first["error_max"]) == (pytest.approx(error), pytest.approx(9 * error))
+
+    assert first["psnr"] == pytest.approx(30)
+    text = targets.text(comparison)
+    assert text[0].split() == ["3,000", "triangles", *" ".join(column.title for column in targets.COLUMNS).split()]
+    assert text[1].split() == ["udlod", "3", "500", f"{error:.3f}", f"{9 * error:.3f}", "30.00", "1.000", "0.300", "-"]
+    assert "frostbite does not come nearer to 3,000 triangles than 15,238 (tau = 2)." in text
+    page = report.write(folder).read_text(encoding="utf-8")
+    for line in ("frostbite does not come nearer to 3,000 triangles than 15,238 (tau = 2).", "<b>As they are.</b>"):
+        assert line in page
+    for title in ("Mean screen-space error against triangles", "PSNR against triangles"):
+        assert [(name, points) for name, _, points in graphs(page)[title]] == [("udlod", 2), ("frostbite", 2)]
 
 
 def test_side_by_side_shows_the_place_that_differs(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import json
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from orogen.compare.plan import Entry, Plan
 from orogen.compare.record import Record
 from orogen.compare.reference import References
 from orogen.compare.scenery import Scenery
-from orogen.errors import OrogenError, OutputError, SettingsError
+from orogen.errors import BudgetError, OrogenError, OutputError, SettingsError
 from orogen.lod.contract import Detail, Statistics
 from orogen.pyramid.open import open_pyramid
 from orogen.shading.color import srgb_encode
@@ -35,7 +36,7 @@ from orogen.view.flight import Flight
 from orogen.view.renderer import Picture, Renderer
 
 SIZE = (72, 48)
-MEASURED = ("psnr", "surface", "cracks", "stability")
+MEASURED = ("psnr", "shapes", "surface", "cracks", "stability")
 
 
 def terrain(rows: int = 150, columns: int = 170) -> np.ndarray:
@@ -109,6 +110,16 @@ def test_a_line_for_each_frame(finished: Path) -> None:
         assert 0 < line["cpu"] < line["wall"]
         assert line["memory"]["gpu"]["atlas height"] > 0
         assert line["memory"]["host"] is None or line["memory"]["host"] > 1 << 20
+
+
+def test_shapes_of_triangles_are_counted(finished: Path) -> None:
+    for line in lines(finished, "coarse"):
+        shapes, angles = line["shapes"], line["angles"]
+        assert shapes["degenerate"] + sum(angles.values()) == line["triangles"]
+        assert shapes["slivers"] == angles["00"] + angles["05"]
+        assert shapes["sliver_share"] == shapes["slivers"] / line["triangles"]
+        assert 20 < shapes["smallest_angle"] < 50
+    assert all(line["shapes"] is None for line in lines(finished, "raycast"))
 
 
 def test_rays_over_resident_level_0_are_the_reference(finished: Path) -> None:
@@ -313,6 +324,46 @@ def test_equal_triangles(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert 0.5 < found["reached"] / 40_000 < 2
     # resuming keeps what was found
     runner.run(few, tmp_path / "out")
+
+
+def test_several_numbers_of_triangles(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that can be reached, one that cannot, and one that there is no memory for."""
+    from orogen.lod.udlod import Udlod, View
+
+    record = View.record
+
+    def limited(self: View, *arguments: Any) -> Any:
+        if self._algorithm.settings.pixels_per_quad < 1:
+            raise BudgetError("too many")
+        return record(self, *arguments)
+
+    monkeypatch.setattr(View, "record", limited)
+    monkeypatch.setattr(Udlod, "detail", Detail("pixels_per_quad", 0.5, 24.0))
+    targets = (24_000, 10, 10**9)
+    several = dataclasses.replace(
+        plan, entries=(Entry("raycast"), Entry("udlod")), equal_triangles=targets, metrics=("psnr", "surface"),
+        repeats=1, pictures=0,
+    )  # fmt: skip
+    runner.run(several, tmp_path / "out")
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    rows = results["targets"]
+    assert [(row["label"], row["target"], row["met"]) for row in rows] == [
+        ("udlod", 24_000, True), ("udlod", 10, False), ("udlod", 10**9, False), ("raycast", None, None)
+    ]  # fmt: skip
+    near, few, many, rays = rows
+    assert 19_200 < near["triangles"] < 30_000
+    assert few["triangles"] < near["triangles"] < many["triangles"]
+    assert few["value"] > near["value"] > many["value"] >= 1
+    assert few["error_mean"] > near["error_mean"] > rays["error_mean"]
+    frames = lines(tmp_path / "out", "udlod_10")
+    assert few["error_max"] == max(max(line[way]["max"] for way in ("forward", "backward")) for line in frames)
+    mse = np.mean([line["mse"] for line in frames])
+    assert few["psnr"] == pytest.approx(10 * math.log10(255**2 / mse))
+    assert few["cpu"] == pytest.approx(np.mean([line["cpu"] for line in frames]))
+    assert (rays["triangles"], rays["setting"]) == (0, None)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert f"udlod does not come nearer to 10 triangles than {few['triangles']:,.0f}" in page
+    assert "Mean screen-space error against triangles" in page
 
 
 def test_equal_time_on_a_software_adapter_is_by_the_wall_clock(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -12,6 +12,7 @@ from orogen.cli import console
 from orogen.cli.options import DataOptions, Flag, SceneOptions, Size, StyleOptions, numbers, settings_of, word
 
 Window = Annotated[tuple[int, int, int, int], word(numbers(4, ",", int), "X,Y,W,H")]
+Counts = Annotated[tuple[int, ...], word(numbers(None, ",", int), "N,N...")]
 Words = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
 
 
@@ -22,7 +23,7 @@ def compare(
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
     entry: Annotated[list[str] | None, Parameter(negative="", metavar="ENTRY")] = None,
     sweep: Annotated[list[str] | None, Parameter(negative="", metavar="SWEEP")] = None,
-    equal_triangles: int | None = None,
+    equal_triangles: Counts | None = None,
     equal_time: float | None = None,
     flight: Annotated[str, Parameter(name=("--flight", "-f"))] = "descent",
     frames: int | None = None,
@@ -57,7 +58,8 @@ def compare(
     sweep
         Vary a setting, as NAME.KEY=VALUE,VALUE... where NAME is a label or an algorithm; repeat for several.
     equal_triangles
-        Set every algorithm's detail so that it takes this many triangles a frame, on average.
+        Set every algorithm's detail so that it takes this many triangles a frame, on average; with several numbers
+        every algorithm is measured at each of them.
     equal_time
         Set every algorithm's detail so that it takes this many milliseconds of GPU time a frame, on average.
     flight
@@ -78,7 +80,7 @@ def compare(
     unlit
         No light, only the draped image or the ramp.
     metric
-        Measure just this: psnr, ssim, flip, delta_e, surface, cracks or stability; repeat for several.
+        Measure just this: psnr, ssim, flip, delta_e, shapes, surface, cracks or stability; repeat for several.
     repeats
         How often a frame is timed; medians count.
     pictures
@@ -95,6 +97,8 @@ def compare(
         Write JSON about the comparison to stdout.
     """
     from orogen.compare.plan import Plan, parse_entry, parse_sweep
+    from orogen.compare.report import targets
+    from orogen.compare.report.results import read
     from orogen.compare.runner import run
 
     entries = [parse_entry(text) for text in entry or ()]
@@ -120,11 +124,17 @@ def compare(
         repeats=repeats,
         pictures=pictures,
         freeze=freeze,
-        equal_triangles=equal_triangles,
+        equal_triangles=equal_triangles[0] if equal_triangles and len(equal_triangles) == 1 else equal_triangles,
         equal_time=equal_time,
         streaming=settings_of(set),
         adapter=adapter,
     )
     with console.progress() as report:
         written = run(plan, output, progress=report, force=force)
-    console.show({"report": written, "entries": [item.label for item in plan.entries]}, json, [str(written)])
+    result: dict[str, Any] = {"report": written, "entries": [item.label for item in plan.entries]}
+    lines = [str(written)]
+    if equal_triangles:
+        found = read(output)
+        result["targets"] = targets.rows(found)
+        lines = [*targets.text(found), *lines]
+    console.show(result, json, lines)

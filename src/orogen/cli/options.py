@@ -19,9 +19,9 @@ DATA, CAMERA, STYLE, DRAWING = (
 )
 
 
-def numbers(count: int, separator: str = ",", kind: type = float) -> Callable[[Any, Sequence[Token]], Any]:
-    """Reads `count` numbers that `separator` parts, as one word."""
-    words = {2: "two", 4: "four"}
+def numbers(count: int | None, separator: str = ",", kind: type = float) -> Callable[[Any, Sequence[Token]], Any]:
+    """Reads `count` numbers (None: one or more) that `separator` parts, as one word."""
+    words = {None: "one or more", 2: "two", 4: "four"}
 
     def convert(_: Any, tokens: Sequence[Token]) -> tuple[Any, ...]:
         text = tokens[0].value
@@ -29,7 +29,7 @@ def numbers(count: int, separator: str = ",", kind: type = float) -> Callable[[A
             values = tuple(kind(part) for part in text.lower().split(separator))
         except ValueError:
             values = ()
-        if len(values) != count:
+        if not values or (count is not None and len(values) != count):
             what = "whole numbers" if kind is int else "numbers"
             raise ValueError(f"expected {words[count]} {what} separated by {separator!r}, got {text!r}")
         return values

@@ -14,7 +14,7 @@ from orogen.compare.flights import Shot
 from orogen.compare.plan import Entry
 from orogen.compare.reference import frame_of, style_of
 from orogen.compare.scenery import Scenery
-from orogen.lod import algorithm
+from orogen.errors import BudgetError
 from orogen.lod.contract import AlgorithmView, Detail
 from orogen.shading.style import Style
 from orogen.view.renderer import Renderer
@@ -25,6 +25,8 @@ SHOTS = 5
 """Frames of the flight, evenly over it, whose mean is made to fit."""
 STEPS = 12
 """Values that are tried at most."""
+ABOUT = 1.25
+"""Factor within which a target counts as reached."""
 CLOSE = 0.005
 """Relative difference from the target at which the search ends."""
 
@@ -42,16 +44,22 @@ class Calibrated:
     reached: float
     """What the value gives on average over the sample frames."""
 
+    @property
+    def met(self) -> bool:
+        """Whether that is about what was asked for."""
+        return 1 / ABOUT < self.reached / self.target < ABOUT
+
 
 def calibrate(entry: Entry, scenery: Scenery, shots: Sequence[Shot]) -> tuple[Entry, Calibrated | None]:
     """The entry with its detail set as the plan asks for, and what was found; unchanged without such a setting.
 
     `shots`: the frames that are measured; some of them are tried.
     """
-    plan = scenery.plan
-    target = plan.equal_triangles or plan.equal_time
-    detail = algorithm(entry.algorithm).detail
-    if target is None or detail is None or detail.setting == entry.sweep:
+    plan, detail = scenery.plan, entry.detail
+    equal_triangles = plan.equal_triangles if entry.target is None else entry.target.triangles
+    target = equal_triangles or plan.equal_time
+    # entries that the numbers of triangles do not multiply have no detail
+    if detail is None or target is None or isinstance(target, tuple):
         return entry, None
     step = (len(shots) - 1) / max(1, min(SHOTS, len(shots)) - 1)
     tried = [shots[round(i * step)] for i in range(min(SHOTS, len(shots)))]
@@ -60,18 +68,23 @@ def calibrate(entry: Entry, scenery: Scenery, shots: Sequence[Shot]) -> tuple[En
     try:
 
         def cost(value: float) -> float:
-            renderer.use(entry.algorithm, entry.with_setting(detail.setting, value).settings)
-            measure = triangles if plan.equal_triangles else milliseconds
-            return statistics.mean(measure(renderer, scenery, shot) for shot in tried)
+            measure = triangles if equal_triangles else milliseconds
+            try:
+                renderer.use(entry.algorithm, entry.with_setting(detail.setting, value).settings)
+                return statistics.mean(measure(renderer, scenery, shot) for shot in tried)
+            except BudgetError as error:
+                # too fine for the memory that there is: a coarser value will have to do
+                log.info("%s: %s=%g: %s", entry.label, detail.setting, value, error)
+                return math.inf
 
         value, reached = search(detail, cost, float(target), whole)
     finally:
         renderer.close()
-    if not 0.8 < reached / target < 1.25:
+    found = Calibrated(detail.setting, value, float(target), reached)
+    if not found.met:
         log.warning("%s: %s=%g comes nearest to %g, with %g", entry.label, detail.setting, value, target, reached)
     # the label stays: it says what was asked for
-    found = dataclasses.replace(entry.with_setting(detail.setting, value), label=entry.label)
-    return found, Calibrated(detail.setting, value, float(target), reached)
+    return dataclasses.replace(entry.with_setting(detail.setting, value), label=entry.label), found
 
 
 def search(detail: Detail, cost: Callable[[float], float], target: float, whole: bool) -> tuple[float, float]:

@@ -23,8 +23,8 @@ from orogen.errors import SettingsError
 if TYPE_CHECKING:
     from orogen.view.renderer import Picture
 
-METRICS = ("psnr", "ssim", "flip", "delta_e", "surface", "cracks", "stability")
-"""Names of what can be measured, the cheap ones first."""
+METRICS = ("psnr", "ssim", "flip", "delta_e", "shapes", "surface", "cracks", "stability")
+"""Names of what can be measured, the cheap ones first; "shapes" of triangles, not of pictures: see triangle_quality."""
 LARGEST_VALUE = 255
 """MAX_I of equation 4.1a (Houska 2019) for 8 bits per channel."""
 SSIM_WINDOW = 11

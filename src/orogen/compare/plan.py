@@ -13,9 +13,20 @@ from typing import Any
 
 from orogen.errors import SettingsError
 from orogen.lod import algorithm, algorithms, make_settings
+from orogen.lod.contract import Detail
 from orogen.shading.style import Style
 from orogen.streaming.settings import ClipmapSettings
 from orogen.values import expected_name, field_names, from_values
+
+
+@dataclass(frozen=True)
+class Target:
+    """A number of triangles, one of several that an entry is measured at."""
+
+    triangles: int
+    """A frame, on average."""
+    label: str
+    """Of the entry that all numbers belong to."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +41,12 @@ class Entry:
     """What the report calls it; empty: the algorithm and the settings that were given."""
     sweep: str | None = None
     """Setting that a sweep varies; None where the entry belongs to none."""
+    target: Target | None = None
+    """Triangles that its detail is set to, where the plan has several numbers."""
 
     def __post_init__(self) -> None:
-        kind = algorithm(self.algorithm).Settings
-        values = {name: _switch(kind, name, value) for name, value in self.settings.items()}
-        object.__setattr__(self, "settings", MappingProxyType(values))
-        make_settings(self.algorithm, values)
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
+        make_settings(self.algorithm, self.settings)
         if not self.label:
             given = " ".join(f"{name}={_text(value)}" for name, value in self.settings.items())
             object.__setattr__(self, "label", f"{self.algorithm} {given}".strip())
@@ -48,6 +59,12 @@ class Entry:
     def values(self) -> dict[str, Any]:
         """All settings by name, defaults included."""
         return dataclasses.asdict(make_settings(self.algorithm, self.settings))
+
+    @property
+    def detail(self) -> Detail | None:
+        """The setting that calibration may change; None where there is none, or a sweep varies it."""
+        detail = algorithm(self.algorithm).detail
+        return None if detail is None or detail.setting == self.sweep else detail
 
     def with_setting(self, name: str, value: Any) -> Entry:
         """The same entry, under its own label, with another value of one setting."""
@@ -93,8 +110,9 @@ class Plan:
     """Of how many frames the pictures are kept."""
     freeze: bool = False
     """Also keep pictures from a second camera, while the flight's camera decides on the geometry."""
-    equal_triangles: int | None = None
-    """Triangles a frame, on average, that every algorithm's detail is set to."""
+    equal_triangles: int | tuple[int, ...] | None = None
+    """Triangles a frame, on average, that every algorithm's detail is set to; with several numbers an entry is measured
+    at each of them, under the label "LABEL NUMBER"."""
     equal_time: float | None = None
     """Milliseconds of GPU time a frame, on average, that every algorithm's detail is set to."""
     streaming: Mapping[str, Any] = field(default_factory=dict, hash=False)
@@ -103,8 +121,10 @@ class Plan:
     """GPU: index, kind or part of its name."""
 
     def __post_init__(self) -> None:
-        if not self.entries:
-            object.__setattr__(self, "entries", tuple(Entry(name) for name in algorithms()))
+        entries = self.entries or tuple(Entry(name) for name in algorithms())
+        if isinstance(self.equal_triangles, tuple):
+            entries = tuple(part for entry in entries for part in _at_targets(entry, self.equal_triangles))
+        object.__setattr__(self, "entries", entries)
         folders = [entry.folder.lower() for entry in self.entries]
         for entry in self.entries:
             if folders.count(entry.folder.lower()) > 1:
@@ -119,8 +139,9 @@ class Plan:
             raise SettingsError("expected either a number of frames or every so many, got both or neither")
         for name, least in (("frames", 1), ("every", 1), ("repeats", 1), ("pictures", 0), ("equal_triangles", 1)):
             value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < least):
-                raise SettingsError(f"{name}: expected a whole number, at least {least}, got {value}")
+            for number in value if isinstance(value, tuple) else (value,):
+                if number is not None and (not isinstance(number, int) or number < least):
+                    raise SettingsError(f"{name}: expected a whole number, at least {least}, got {number}")
         if self.equal_time is not None and not (math.isfinite(self.equal_time) and self.equal_time > 0):
             raise SettingsError(f"equal_time: expected more than 0 milliseconds, got {self.equal_time:g}")
         if self.equal_time is not None and self.equal_triangles is not None:
@@ -194,6 +215,16 @@ def parse_sweep(text: str, entries: Iterable[Entry]) -> list[Entry]:
     ]
 
 
+def _at_targets(entry: Entry, targets: tuple[int, ...]) -> list[Entry]:
+    """The entry at each number of triangles; the entry itself where it cannot be set to any, or has been."""
+    if entry.detail is None or entry.target is not None:
+        return [entry]
+    return [
+        dataclasses.replace(entry, label=f"{entry.label} {number:,}", target=Target(number, entry.label))
+        for number in dict.fromkeys(targets)
+    ]
+
+
 def plain(value: Any) -> Any:
     """The value in the types of JSON, as it comes back from a file."""
     if isinstance(value, Mapping):
@@ -212,14 +243,6 @@ def _place(data: Any) -> str:
         return "array"
     name = os.fspath(data)
     return os.path.abspath(name) if os.path.exists(name) else name
-
-
-def _switch(kind: type, name: str, value: Any) -> Any:
-    """Switches may be said to be on or off."""
-    defaults = {f.name: f.default for f in dataclasses.fields(kind)}
-    if isinstance(defaults.get(name), bool) and isinstance(value, str):
-        return {"on": "true", "off": "false"}.get(value.lower(), value)
-    return value
 
 
 def _text(value: Any) -> str:

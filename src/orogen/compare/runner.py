@@ -20,6 +20,7 @@ from orogen.compare.record import FORMAT, Record
 from orogen.compare.reference import References, style_of
 from orogen.compare.scenery import Progress, Scenery
 from orogen.compare.temporal import REACH, History
+from orogen.compare.triangle_quality import TriangleMeter
 from orogen.compare.truth import TrueSurface
 from orogen.view.flight import Flight
 from orogen.view.renderer import Picture, Renderer
@@ -125,7 +126,8 @@ def _entries(scenery: Scenery, shots: Sequence[Shot], report: Progress) -> list[
                 "settings": values,
                 "given": plain(given.settings),
                 "sweep": entry.sweep and {"setting": entry.sweep, "value": values[entry.sweep]},
-                "calibrated": None if found is None else dataclasses.asdict(found),
+                "target": entry.target and dataclasses.asdict(entry.target),
+                "calibrated": None if found is None else {**dataclasses.asdict(found), "met": found.met},
             }
         )
         report(number / len(scenery.plan.entries), "setting up the entries")
@@ -189,6 +191,7 @@ class _EntryRun:
 
     def __init__(self, shared: _Run, renderer: Renderer, entry: Entry, references: References) -> None:
         self._shared, self._renderer, self._entry, self._references = shared, renderer, entry, references
+        self._meter = TriangleMeter(renderer.clipmap)
         self._history = History()
         # numbers of the latest frames drawn one after the other
         self._followed: list[int] = []
@@ -217,6 +220,8 @@ class _EntryRun:
             "memory": {"gpu": self._renderer.gpu.memory.by_category(), "host": host_memory()},
             **metrics.measure_frame(picture, true, shared._truth, self._history, shared._chosen),
         }
+        if "shapes" in shared._chosen:
+            line |= self._meter.measure(self._renderer.draws, self._renderer.view).record()
         self._followed.append(shot.number)
         if shot.number in shared._kept:
             self._keep(shot, picture, true)

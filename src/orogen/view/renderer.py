@@ -17,7 +17,7 @@ from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu, Readback
 from orogen.lod import DEFAULT, algorithm, make_settings
-from orogen.lod.contract import Statistics
+from orogen.lod.contract import Draw, Statistics
 from orogen.pyramid.contract import Pyramid
 from orogen.raster.rasterizer import FOLDER as RASTER
 from orogen.raster.rasterizer import Rasterizer
@@ -107,6 +107,8 @@ class Renderer:
         except BaseException:
             self.clipmap.close()
             raise
+        self.draws: tuple[Draw, ...] = ()
+        """What the latest frame was drawn with; their buffers are those of that frame until the next one."""
         self._targets: tuple[Surface, Samples] | None = None
         self._shown: tuple[Any, ...] = ()
         self._frame: Frame | None = None
@@ -124,6 +126,7 @@ class Renderer:
         self.algorithm = following
         self.rasterizer.forget()
         self._state = self.algorithm.view()
+        self.draws = ()
         self._shown = ()
 
     def render(
@@ -207,6 +210,7 @@ class Renderer:
 
     def close(self) -> None:
         """Give the GPU memory back and stop loading."""
+        self.draws = ()
         if self._targets:
             for target in self._targets:
                 target.destroy()
@@ -254,6 +258,7 @@ class Renderer:
         self.rasterizer.record(encoder, self.timer, draws, self.view, surface, edges=edges)
         added = self._state.drawn(encoder, self.timer, frame, self.view, surface.targets["depth"])
         self.rasterizer.record(encoder, self.timer, added, self.view, surface, clear=False, edges=edges)
+        self.draws = (*draws, *added)
         self.shading.record(encoder, self.timer, frame, self.view.bind_group, surface.read_group, light, style)
         self.timer.resolve(encoder)
         self.gpu.submit(encoder)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -51,6 +51,7 @@ WALL = Quality("wall", "wall-clock time", "wall clock (ms)")
 TRIANGLES = Quality("triangles", "Triangles", "triangles")
 # an average over the frames that differ would punish an entry whose other frames are exact
 PSNR = Quality("psnr", "PSNR", "PSNR (dB)", larger=True, statistic="pooled")
+MEAN_ERROR = Quality("error.mean", "mean screen-space error", "mean error (px)", error=True)
 ERROR = Quality("error.p99", "99 % screen-space error", "99 % error (px)", error=True)
 CHANGE = Quality("instability_mean", "Instability", "mean change (px)", error=True)
 POPPING = Quality("popping", "Popping", "share that jumps", error=True, least=1e-4)
@@ -90,16 +91,19 @@ def front_chart(comparison: Comparison, quality: Quality) -> str:
     x = Axis.over(clock.label, [time for _, time, _ in known], log=True)
     y = _axis(quality, [value for _, _, value in known])
     sweeps = {label for entries in comparison.sweeps.values() for label in (entry.label for entry in entries)}
+    at_targets = _at_targets(comparison)
+    # one name to a curve is enough
+    names = {entries[-1].label: name for name, entries in at_targets.items()}
     points = [
         Point(
-            _short(entry), comparison.styles[entry.label], time, value,
+            names.get(entry.label, "") if entry.target else _short(entry), comparison.styles[entry.label], time, value,
             f"{entry.label}: {number(time)} ms, {number(value)} {'dB' if quality is PSNR else 'px'}",
             entry.label in best,
         )
         for entry, time, value in known
     ]  # fmt: skip
     curves = []
-    for entries in comparison.sweeps.values():
+    for entries in [*comparison.sweeps.values(), *at_targets.values()]:
         line = [(time, value) for entry, time, value in known if entry in entries]
         name = entries[0].label
         curves.append(Series(name, comparison.styles[name], [t for t, _ in line], [v for _, v in line]))
@@ -113,24 +117,32 @@ def front_chart(comparison: Comparison, quality: Quality) -> str:
     return figure(title, plot.svg(), note)
 
 
-def flight_chart(comparison: Comparison, quality: Quality) -> str:
-    """A value over the time of the flight, a line per entry."""
+def line_styles(comparison: Comparison, entries: Sequence[Entry]) -> dict[str, int]:
+    """Number of the line style by label for lines over the flight: their own where entries share one otherwise."""
+    styles = {entry.label: comparison.styles[entry.label] for entry in entries}
+    distinct = len(set(styles.values())) == len(styles)
+    return styles if distinct else {label: number for number, label in enumerate(styles)}
+
+
+def flight_chart(comparison: Comparison, quality: Quality, entries: Sequence[Entry], over: str = "time") -> str:
+    """A value over the flight, a line per entry; `over`: its "time" in seconds, or "frame", the number of the frame."""
     title = f"{quality.heading} over the flight"
+    styles = line_styles(comparison, entries)
     series, lacking = [], []
-    for entry in comparison.shown:
+    for entry in entries:
         values = entry.column(quality.name)
-        times = [row.get("time") or 0.0 for row in entry.rows]
+        places = [row.get(over) or 0.0 for row in entry.rows]
         if all(value is None for value in values):
             lacking.append(f"{entry.label}: {why(comparison, entry, quality.name)}")
         elif not (quality is TRIANGLES and not any(values)):
-            series.append(Series(entry.label, comparison.styles[entry.label], times, values))
+            series.append(Series(entry.label, styles[entry.label], places, values))
     if not series:
         return missing(title, comparison, [quality.name])
-    times = [time for line in series for time in line.x]
-    x = Axis("time (s)", min(times), max(max(times), min(times) + 1e-3))
+    places = [place for line in series for place in line.x]
+    x = Axis("time (s)" if over == "time" else over, min(places), max(max(places), min(places) + 1e-3))
     y = _axis(quality, [value for line in series for value in line.y])
-    marks = _picture_times(comparison)
-    plot = Plot(x, y, title, (1080, 240), series, marks=[time for time in marks if x.low <= time <= x.high])
+    marks = _picture_places(comparison, over)
+    plot = Plot(x, y, title, (1080, 240), series, marks=[place for place in marks if x.low <= place <= x.high])
     return figure(title, plot.svg(), "; ".join(lacking))
 
 
@@ -156,11 +168,51 @@ def sweep_charts(comparison: Comparison, key: tuple[str, str]) -> str:
     return f'<div class="pair">{"".join(plots)}</div>'
 
 
-def legend(comparison: Comparison, entries: Sequence[Entry]) -> str:
-    """Line styles and labels."""
+def target_chart(comparison: Comparison, quality: Quality) -> str:
+    """A value against the triangles that are drawn, a line per entry that is measured at several numbers of them."""
+    title = f"{quality.heading} against triangles"
+    series = []
+    for name, entries in _at_targets(comparison).items():
+        found = [(TRIANGLES.of(entry), quality.of(entry)) for entry in entries]
+        points = sorted((drawn, value) for drawn, value in found if drawn and value is not None)
+        style = comparison.styles[entries[0].label]
+        series.append(Series(name, style, [drawn for drawn, _ in points], [value for _, value in points], dots=True))
+    if not any(line.x for line in series):
+        return missing(title, comparison, [quality.name])
+    x = Axis.over(TRIANGLES.label, [drawn for line in series for drawn in line.x], log=True)
+    y = _axis(quality, [value for line in series for value in line.y])
+    return figure(title, Plot(x, y, title, (1080, 300), series).svg(), "")
+
+
+def target_styles(comparison: Comparison) -> dict[str, int]:
+    """Line styles of the entries that are measured at several numbers of triangles."""
+    return {name: comparison.styles[entries[0].label] for name, entries in _at_targets(comparison).items()}
+
+
+def angle_chart(comparison: Comparison) -> str:
+    """Share of the triangles of the flight by their smallest angle, a line per entry."""
+    title = "Triangles by their smallest angle"
+    styles = line_styles(comparison, comparison.shown)
+    series = []
+    for entry in comparison.shown:
+        names = sorted({name for row in entry.rows for name in row if name.startswith("angles.")})
+        counts = [math.fsum(value or 0.0 for value in entry.column(name)) for name in names]
+        if total := math.fsum(counts):
+            starts = [float(name.removeprefix("angles.")) for name in names]
+            half = (starts[1] - starts[0]) / 2
+            shares = [100 * number / total for number in counts]
+            series.append(Series(entry.label, styles[entry.label], [start + half for start in starts], shares))
+    if not series:
+        return missing(title, comparison, ["shapes.smallest_angle"])
+    y = Axis.over("share (%)", [share for line in series for share in line.y], zero=True)
+    plot = Plot(Axis("smallest angle (°)", 0.0, 60.0), y, title, (1080, 240), series)
+    return figure(title, plot.svg(), "In steps of 5 degrees, degenerate triangles left out.")
+
+
+def legend(styles: Mapping[str, int]) -> str:
+    """Line styles by label."""
     items = "".join(
-        f'<li data-series="{escape(entry.label)}">{swatch(comparison.styles[entry.label])}{escape(entry.label)}</li>'
-        for entry in entries
+        f'<li data-series="{escape(label)}">{swatch(style)}{escape(label)}</li>' for label, style in styles.items()
     )
     return f'<ul class="legend">{items}</ul>'
 
@@ -206,7 +258,16 @@ def _short(entry: Entry) -> str:
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
-def _picture_times(comparison: Comparison) -> list[float]:
+def _at_targets(comparison: Comparison) -> dict[str, list[Entry]]:
+    """Entries that are measured at several numbers of triangles, by the label that they share."""
+    found: dict[str, list[Entry]] = {}
+    for entry in comparison.entries:
+        if entry.target:
+            found.setdefault(str(entry.target["label"]), []).append(entry)
+    return found
+
+
+def _picture_places(comparison: Comparison, over: str) -> list[float]:
     chosen = set(comparison.plan.get("pictures") or ())
     rows = [row for entry in comparison.entries[:1] for row in entry.rows]
-    return [row["time"] or 0.0 for row in rows if row.get("frame") in chosen and "time" in row]
+    return [row[over] or 0.0 for row in rows if row.get("frame") in chosen and over in row]

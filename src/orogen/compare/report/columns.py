@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orogen.compare.report.svg import number
-from orogen.compare.report.tables import Column, count, decibels, milliseconds, percent, pixels, three
+from orogen.compare.report.tables import Column, count, decibels, degrees, milliseconds, percent, pixels, three
 
 TRIANGLES = Column("Triangles", "triangles", show=count)
 GPU = Column("GPU (ms)", "gpu", show=milliseconds, best="low")
@@ -65,6 +65,15 @@ ACCURACY = tuple(
         ("largest", "max", "max", pixels),
         ("over 1 px", "over_1px", "mean", percent),
     )
+)
+SHAPES = (
+    TRIANGLES,
+    Column("Degenerate", "shapes.degenerate", show=count, group="Per frame"),
+    Column("Slivers", "shapes.slivers", show=count, group="Per frame"),
+    Column("Degenerate", "shapes.degenerate_share", show=percent, best="low", group="Share"),
+    Column("Slivers", "shapes.sliver_share", show=percent, best="low", group="Share"),
+    Column("Slivers, worst frame", "shapes.sliver_share", "max", percent, "low", "Share"),
+    Column("Smallest angle, mean (°)", "shapes.smallest_angle", show=degrees, best="high"),
 )
 OUTLINES = (
     Column("Cracks, all frames", "cracks", "sum", count, "low"),

@@ -8,18 +8,19 @@ import json
 import math
 from typing import Any
 
+from orogen.compare.report import targets
 from orogen.compare.report.results import Comparison
 
 STATISTICS = ("count", "min", "mean", "max", "p50", "p95", "p99")
 
 
 def results_json(comparison: Comparison) -> str:
-    """Plan, statistics and records. Strict JSON: null where there is no value, "inf" for an infinite one."""
+    """Plan, tables at equal triangles, statistics, records. Strict JSON: null: no value; "inf": infinite."""
     entries = [
         {"label": entry.label, "algorithm": entry.algorithm, "summary": entry.summary, "frames": list(entry.frames)}
         for entry in comparison.entries
     ]
-    document = _strict({"plan": comparison.plan, "entries": entries})
+    document = _strict({"plan": comparison.plan, "targets": targets.rows(comparison), "entries": entries})
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 

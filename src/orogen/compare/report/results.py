@@ -42,6 +42,8 @@ class Entry:
     """Name that its files go by."""
     frames: tuple[Mapping[str, Any], ...]
     """Records as they were measured, in the order of the flight."""
+    target: Mapping[str, Any] | None = None
+    """"triangles" and "label" where the entry is measured at one of several numbers of triangles."""
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
@@ -105,13 +107,22 @@ class Comparison:
 
     @property
     def shown(self) -> tuple[Entry, ...]:
-        """Entries for graphs and pictures: those of sweeps only where there are no others, or all look alike."""
-        return tuple(entry for entry in self.entries if entry.sweep is None) or self.entries
+        """Entries for graphs over the flight and pictures: of several numbers of triangles only the first; those of
+        sweeps only where there are no others.
+        """
+        first = next((entry.target["triangles"] for entry in self.entries if entry.target), None)
+        entries = tuple(entry for entry in self.entries if not entry.target or entry.target["triangles"] == first)
+        return tuple(entry for entry in entries if entry.sweep is None) or entries
 
     @cached_property
     def styles(self) -> dict[str, int]:
-        """Number of the line style by label; the entries of a sweep share one."""
-        keys = {entry.label: sweep_key(entry) or (entry.label,) for entry in self.entries}
+        """Number of the line style by label; the entries of a sweep share one, as does an entry at several numbers of
+        triangles.
+        """
+        keys = {
+            entry.label: sweep_key(entry) or (str(entry.target["label"]) if entry.target else entry.label,)
+            for entry in self.entries
+        }
         numbers = {key: number for number, key in enumerate(dict.fromkeys(keys.values()))}
         return {label: numbers[key] for label, key in keys.items()}
 
@@ -126,8 +137,11 @@ class Comparison:
 
 
 def sweep_key(entry: Entry) -> tuple[str, str] | None:
-    """Algorithm and setting of the sweep that an entry belongs to; None where it belongs to none."""
-    return (entry.algorithm, str(entry.sweep["setting"])) if entry.sweep else None
+    """Algorithm (at a number of triangles, if there are several) and setting of the sweep that an entry belongs to;
+    None where it belongs to none.
+    """
+    at = f" at {entry.target['triangles']:,} triangles" if entry.target else ""
+    return (entry.algorithm + at, str(entry.sweep["setting"])) if entry.sweep else None
 
 
 def _swept_value(entry: Entry) -> tuple[bool, float, str]:
@@ -159,7 +173,7 @@ def _entry(folder: Path, entry: Mapping[str, Any]) -> Entry:
     settings = entry.get("settings", {})
     return Entry(
         entry["label"], entry["algorithm"], settings, entry.get("given", {}),
-        entry.get("calibrated"), entry.get("sweep"), name, tuple(frames),
+        entry.get("calibrated"), entry.get("sweep"), name, tuple(frames), entry.get("target"),
     )  # fmt: skip
 
 
@@ -173,7 +187,7 @@ def _parse(text: str, where: str) -> Any:
 def flatten(frame: Mapping[str, Any]) -> Row:
     """A record's numbers by flat names: "forward.p99", "gpu" (total ms) and "gpu.PASS", "memory.gpu.CATEGORY" ...
 
-    "error.mean" and "error.p99" are the larger of the two directions of the screen-space error.
+    "error.mean", "error.p99" and "error.max" are the larger of the two directions of the screen-space error.
     """
     row: Row = {}
     for name, value in frame.items():
@@ -189,7 +203,7 @@ def flatten(frame: Mapping[str, Any]) -> Row:
             row |= {f"{name}.{part}": _number(number) for part, number in value.items()}
         else:
             row[name] = _number(value)
-    for part in ("mean", "p99"):
+    for part in ("mean", "p99", "max"):
         both = [row.get(f"forward.{part}"), row.get(f"backward.{part}")]
         known = [value for value in both if value is not None]
         if known:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 
-from orogen.compare.report import charts, columns, pictures
+from orogen.compare.report import charts, columns, pictures, targets
 from orogen.compare.report.results import Comparison, Entry
 from orogen.compare.report.svg import swatch
 from orogen.compare.report.tables import Column, entry_table, memory_columns, pass_table
@@ -70,21 +70,46 @@ def _memory(comparison: Comparison) -> str:
 
 def _flight(comparison: Comparison) -> str:
     notes = []
-    if comparison.shown != comparison.entries:
-        notes.append("Entries of sweeps are left out of these graphs.")
+    if any(entry.sweep for entry in comparison.entries) and not any(entry.sweep for entry in comparison.shown):
+        notes.append("Entries of sweeps are left out of these graphs; they have their own below.")
+    if any(entry.target for entry in comparison.entries):
+        notes.append("Of several numbers of triangles these graphs show the first.")
     if comparison.plan.get("pictures"):
         notes.append("Small triangles on the time axis mark the frames whose pictures are below.")
     graphed = (
         charts.time_of(comparison), charts.TRIANGLES, charts.PSNR, charts.ERROR, charts.CHANGE, charts.POPPING,
     )  # fmt: skip
-    graphs = "".join(charts.flight_chart(comparison, quality) for quality in graphed)
-    return f'{charts.legend(comparison, comparison.shown)}<p class="notes">{" ".join(notes)}</p>{graphs}'
+    graphs = "".join(charts.flight_chart(comparison, quality, comparison.shown) for quality in graphed)
+    legend = charts.legend(charts.line_styles(comparison, comparison.shown))
+    return f'{legend}<p class="notes">{" ".join(notes)}</p>{graphs}'
 
 
 def _sweeps(comparison: Comparison) -> str:
-    return "".join(
-        f"<h3>{escape('.'.join(key))}</h3>{charts.sweep_charts(comparison, key)}" for key in comparison.sweeps
-    )
+    parts = ""
+    for key, entries in comparison.sweeps.items():
+        graphs = "".join(
+            charts.flight_chart(comparison, quality, entries, "frame")
+            for quality in (charts.time_of(comparison), charts.TRIANGLES)
+        )
+        legend = charts.legend(charts.line_styles(comparison, entries))
+        parts += f"<h3>{escape('.'.join(key))}</h3>{charts.sweep_charts(comparison, key)}{legend}{graphs}"
+    return parts
+
+
+def _targets(comparison: Comparison) -> str:
+    styles = charts.target_styles(comparison)
+    if not styles:
+        return targets.section(comparison)
+    graphs = "".join(charts.target_chart(comparison, quality) for quality in (charts.MEAN_ERROR, charts.PSNR))
+    return f"{targets.section(comparison)}{charts.legend(styles)}{graphs}"
+
+
+def _triangles(comparison: Comparison) -> str:
+    caption = """<b>Shapes of the triangles</b>, averages over the frames of the flight. Degenerate: without area in
+        space, with two corners in the same place or all three on a line. Slivers: with a smallest angle below 10
+        degrees. Angles are those on the ground in three dimensions, before exaggeration; a level grid has 45."""
+    legend = charts.legend(charts.line_styles(comparison, comparison.shown))
+    return f"{entry_table(comparison, caption, columns.SHAPES)}{legend}{charts.angle_chart(comparison)}"
 
 
 def _pictures(comparison: Comparison) -> str:
@@ -173,6 +198,8 @@ SECTIONS: Sequence[tuple[str, Callable[[Comparison], str]]] = (
     ("Quality", _quality),
     ("Stability", _stability),
     ("Time and work", _time),
+    ("Triangles", _triangles),
+    ("Equal triangles", _targets),
     ("Memory", _memory),
     ("Over the flight", _flight),
     ("Sweeps", _sweeps),

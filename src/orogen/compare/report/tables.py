@@ -57,14 +57,20 @@ class Notes:
 
 
 def entry_table(
-    comparison: Comparison, caption: str, columns: Sequence[Column], *, front: frozenset[str] = frozenset()
+    comparison: Comparison,
+    caption: str,
+    columns: Sequence[Column],
+    *,
+    front: frozenset[str] = frozenset(),
+    entries: Sequence[Entry] | None = None,
 ) -> str:
-    """A table of all entries; `front`: labels that get a star."""
+    """A table of entries, by default of all; `front`: labels that get a star."""
     notes = Notes()
-    values = [[column.read(entry) for entry in comparison.entries] for column in columns]
+    entries = comparison.entries if entries is None else entries
+    values = [[column.read(entry) for entry in entries] for column in columns]
     bests = [_best(comparison, column, part) for column, part in zip(columns, values, strict=True)]
     body = []
-    for place, entry in enumerate(comparison.entries):
+    for place, entry in enumerate(entries):
         cells = []
         for column, part, best in zip(columns, values, bests, strict=True):
             value = part[place]
@@ -162,6 +168,11 @@ def count(value: float) -> str:
 def megabytes(value: float) -> str:
     """Bytes in millions."""
     return number(value / MB, 4)
+
+
+def degrees(value: float) -> str:
+    """Tenths."""
+    return f"{value:.1f}"
 
 
 def three(value: float) -> str:

@@ -8,6 +8,7 @@ GROUPS = {
     "mse": "psnr", "psnr": "psnr", "ssim": "ssim", "flip": "flip", "delta_e": "delta_e",
     "forward": "surface", "backward": "surface", "error": "surface", "hidden": "surface", "stray": "surface",
     "cracks": "cracks", "lost": "cracks", "skyline_mean": "cracks", "skyline_max": "cracks",
+    "shapes": "shapes", "angles": "shapes",
     "instability_mean": "stability", "instability_p99": "stability", "swimming": "stability", "popping": "stability",
 }  # fmt: skip
 """The name in the plan's "metrics" that a flat name belongs to, by its first part."""
@@ -16,6 +17,7 @@ EMPTY = {
     "surface": "there is no terrain in view to measure",
     "skyline_mean": "no frame shows a skyline in both pictures",
     "skyline_max": "no frame shows a skyline in both pictures",
+    "shapes": "the algorithm draws no triangles",
     "stability": "needs frames that follow each other closely and show the same ground",
 }
 
