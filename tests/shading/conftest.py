@@ -115,7 +115,7 @@ class Studio:
         self.shading = Shading(gpu, self._scene, self._surface, [DOUBLES], {})
         self.timer = gpu.timer()
 
-    def add(self, samples: Samples, stage: Stage, style: Style) -> None:
+    def add(self, samples: Samples, stage: Stage, style: Style, *, last: bool = False) -> None:
         """One more sample."""
         width, height = stage.size
         detail = stage.detail if stage.detail is not None else np.full((height, width), 0xFF00, np.uint32)
@@ -124,7 +124,7 @@ class Studio:
         scene = self.gpu.bind("scene", self._scene, dict(enumerate(blocks)))
         surface = self.gpu.bind("surface", self._surface, dict(enumerate(pixels)))
         encoder = self.gpu.encoder("stage")
-        self.shading.record(encoder, self.timer, stage.frame, scene, surface, samples, style)
+        self.shading.record(encoder, self.timer, stage.frame, scene, surface, samples, style, last=last)
         self.gpu.submit(encoder)
 
     def light(self, stage: Stage, style: Style) -> NDArray[np.float32]:

@@ -298,12 +298,33 @@ def test_samples_add_up_and_start_again(studio, stage):
     np.testing.assert_array_equal(studio.sums(samples), single[0])
 
 
-def test_samples_count_and_return_their_memory(studio):
-    before = studio.gpu.memory.by_category().get("shading", 0)
-    samples = studio.shading.samples((100, 50))
-    assert studio.gpu.memory.by_category()["shading"] - before >= 16 * 100 * 50
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("background", ["sky", "transparent", "#ff8040"])
+def test_the_last_sample_makes_the_picture_that_resolving_makes(studio, stage, camera_at, count, background):
+    style = Style(background=background)
+    finished, resolved = (studio.shading.samples((48, 32)) for _ in range(2))
+    for number in range(count):
+        jittered = stage(camera=camera_at(pitch=-2.0), jitter=(0.2 * number, -0.1 * number))
+        studio.add(finished, jittered, style, last=number == count - 1)
+        studio.add(resolved, jittered, style)
+    picture = studio.gpu.read_texture(finished.picture).result()
+    assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 20
+    np.testing.assert_allclose(picture.astype(int), studio.resolve(resolved, style), atol=1)
+
+
+def test_samples_return_their_memory_and_one_alone_sums_nothing(studio, stage):
+    def used():
+        held = studio.gpu.memory.by_category()
+        return held.get("shading", 0) + held.get("surface", 0)
+
+    before = used()
+    samples = studio.shading.samples((48, 32))
+    studio.add(samples, stage(), Style(), last=True)
+    assert 4 * 48 * 32 <= used() - before < 16 * 48 * 32
+    studio.add(samples, stage(), Style())
+    assert used() - before >= 20 * 48 * 32
     samples.destroy()
-    assert studio.gpu.memory.by_category().get("shading", 0) == before
+    assert used() == before
 
 
 def test_samples_of_another_size_are_refused(studio, stage):

@@ -146,7 +146,6 @@ class _Drawer:
         usage = "TEXTURE_BINDING|COPY_DST"
         formats = ("r32float", "r32uint", "r32uint")
         self._surface = [gpu.texture("true surface", size, form, usage, "reference") for form in formats]
-        self._target = gpu.texture("true picture", size, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC", "reference")
         self._light = self._shader.shading.samples(size)
         self._group = gpu.bind("surface", self._shader.rasterizer.read_layout, dict(enumerate(self._surface)))
 
@@ -172,16 +171,16 @@ class _Drawer:
         gpu.write_texture(self._surface[0], depth)
         self._light.reset()
         encoder = gpu.encoder("true picture")
-        renderer.shading.record(encoder, renderer.timer, frame, view.bind_group, self._group, self._light, style)
-        renderer.shading.resolve(encoder, renderer.timer, self._light, self._target.view(), style)
+        scene, timer = view.bind_group, renderer.timer
+        renderer.shading.record(encoder, timer, frame, scene, self._group, self._light, style, last=True)
         renderer.timer.resolve(encoder)
         gpu.submit(encoder)
-        color: NDArray[np.uint8] = gpu.read_texture(self._target).result()
+        color: NDArray[np.uint8] = gpu.read_texture(self._light.picture).result()
         return color
 
     def close(self) -> None:
         self._light.destroy()
-        for texture in (*self._surface, self._target):
+        for texture in self._surface:
             texture.destroy()
         self._shader.close()
         self._exact.close()

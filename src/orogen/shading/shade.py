@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from orogen.shading.ramp import RAMP_SIZE, ramp_table
 from orogen.shading.style import Style
 
 if TYPE_CHECKING:
-    from orogen.gpu import FrameTimer, Gpu
+    from orogen.gpu import Buffer, FrameTimer, Gpu, Texture
 
 _HERE = Path(__file__).parent
 _GROUP = 8
@@ -30,29 +31,73 @@ _LIT, _SHADOWS, _SKY = 1, 2, 4
 _OVERLAY_FLAGS = {"wireframe": 8, "levels": 16, "nodes": 32, "contours": 64, "error": 128}
 _IMAGE, _RAMP = 256, 512
 _COLOR_FLAGS = {"auto": _IMAGE | _RAMP, "image": _IMAGE, "ramp": _RAMP, "plain": 0}
-# flags of resolve.wgsl
+# flags of develop.wgsl
 _TONED, _ENCODED = 1, 2
 
 
-class Samples:
-    """The light that the samples of one picture add up to. Belongs to one view; make it by `Shading.samples`."""
+class Layouts(NamedTuple):
+    """Of what the shaders of a picture read and write."""
 
-    def __init__(self, gpu: Gpu, size: tuple[int, int], shade_layout: Any, resolve_layout: Any) -> None:
+    add: Any
+    """Bind group 1 of accumulate.wgsl."""
+    finish: Any
+    """Bind group 1 of finish.wgsl."""
+    resolve: Any
+    """Bind group 0 of resolve.wgsl."""
+
+
+class Samples:
+    """The light that the samples of one picture add up to, and the picture. Of one view; see `Shading.samples`."""
+
+    def __init__(self, gpu: Gpu, size: tuple[int, int], layouts: Layouts) -> None:
         """`size`: width and height in pixels."""
+        self._gpu = gpu
+        self._layouts = layouts
         self.size = size
         """Width and height in pixels."""
         self.count = 0
         """Samples added since the last `reset`."""
         self.ramp: str | None = None
         """Name of the ramp that `ramp_table` holds."""
-        width, height = size
-        self.light = gpu.buffer("samples", 16 * width * height, "STORAGE|COPY_DST|COPY_SRC", "shading")
-        """Sums of linear RGB and of cover, four float32 a pixel, row by row from the upper left."""
         self.style = gpu.buffer("style", 4 * _STYLE_FLOATS, "UNIFORM|COPY_DST", "shading")
         self.ramp_table = gpu.buffer("ramp", 16 * RAMP_SIZE, "UNIFORM|COPY_DST", "shading")
         self.resolve = gpu.buffer("resolve", 4 * _RESOLVE_FLOATS, "UNIFORM|COPY_DST", "shading")
-        self.shade_group = gpu.bind("shade", shade_layout, {0: self.style, 1: self.ramp_table, 2: self.light})
-        self.resolve_group = gpu.bind("resolve", resolve_layout, {0: self.resolve, 1: self.light})
+        self._nothing = gpu.buffer("no sums", 16, "STORAGE", "shading")
+
+    @cached_property
+    def light(self) -> Buffer:
+        """Sums of linear RGB and of cover, four float32 a pixel, row by row from the upper left."""
+        width, height = self.size
+        return self._gpu.buffer("samples", 16 * width * height, "STORAGE|COPY_DST|COPY_SRC", "shading")
+
+    @cached_property
+    def picture(self) -> Texture:
+        """What the last sample finished: sRGB and alpha."""
+        return self._gpu.texture("picture", self.size, "rgba8unorm", "STORAGE_BINDING|COPY_SRC", "surface")
+
+    @cached_property
+    def add_group(self) -> Any:
+        """Bind group 1 of accumulate.wgsl."""
+        return self._gpu.bind("shade", self._layouts.add, {0: self.style, 1: self.ramp_table, 2: self.light})
+
+    @cached_property
+    def finish_group(self) -> Any:
+        """Bind group 1 of finish.wgsl for the last of several samples."""
+        return self._finish_group(self.light)
+
+    @cached_property
+    def only_group(self) -> Any:
+        """Bind group 1 of finish.wgsl for a picture of one sample, which sums nothing."""
+        return self._finish_group(self._nothing)
+
+    def _finish_group(self, light: Buffer) -> Any:
+        entries = {0: self.style, 1: self.ramp_table, 2: light, 3: self.resolve, 4: self.picture}
+        return self._gpu.bind("finish", self._layouts.finish, entries)
+
+    @cached_property
+    def resolve_group(self) -> Any:
+        """Bind group 0 of resolve.wgsl."""
+        return self._gpu.bind("resolve", self._layouts.resolve, {0: self.resolve, 1: self.light})
 
     def reset(self) -> None:
         """Start a new picture."""
@@ -60,14 +105,19 @@ class Samples:
 
     def destroy(self) -> None:
         """Give the GPU memory back."""
-        for buffer in (self.light, self.style, self.ramp_table, self.resolve):
-            buffer.destroy()
+        made = vars(self)
+        for resource in (self.style, self.ramp_table, self.resolve, self._nothing):
+            resource.destroy()
+        for name in ("light", "picture"):
+            if name in made:
+                made[name].destroy()
 
 
 class Shading:
     """The pipelines of the room.
 
-    A picture: `samples.reset()`, then per sample draw the surface buffer and `record`, at last `resolve` once.
+    A picture: `samples.reset()`, then per sample draw the surface buffer and `record`, the last with `last`, which
+    makes `samples.picture`; or at any time `resolve` into a texture that can only be drawn to.
     """
 
     def __init__(
@@ -88,17 +138,23 @@ class Shading:
         self._scene_layout, self._surface_layout = scene_layout, surface_layout
         self._search, self._constants = tuple(search), dict(constants)
         self._image = image
-        self._shade_layout = gpu.layout(
-            "shade", {0: ("COMPUTE", "uniform"), 1: ("COMPUTE", "uniform"), 2: ("COMPUTE", "storage")}
+        adding = {0: ("COMPUTE", "uniform"), 1: ("COMPUTE", "uniform"), 2: ("COMPUTE", "storage")}
+        finishing = {**adding, 3: ("COMPUTE", "uniform"), 4: ("COMPUTE", "image rgba8unorm write")}
+        self._layouts = Layouts(
+            gpu.layout("shade", adding),
+            gpu.layout("finish", finishing),
+            gpu.layout("resolve", {0: ("FRAGMENT", "uniform"), 1: ("FRAGMENT", "read")}),
         )
-        self._resolve_layout = gpu.layout("resolve", {0: ("FRAGMENT", "uniform"), 1: ("FRAGMENT", "read")})
-        self._shade_pipelines: dict[int, Any] = {}
+        self._shade_pipelines: dict[tuple[int, bool, bool], Any] = {}
         self._resolve_shader = gpu.shader("resolve", _HERE / "resolve.wgsl")
         self._resolve_pipelines: dict[str, Any] = {}
 
     def samples(self, size: tuple[int, int]) -> Samples:
-        """Room for the samples of a picture of (width, height) pixels: 16 bytes of GPU memory a pixel."""
-        return Samples(self._gpu, size, self._shade_layout, self._resolve_layout)
+        """Room for the samples of a picture of (width, height) pixels.
+
+        That is 16 bytes of GPU memory a pixel for sums, where there are several, and 4 for a finished picture.
+        """
+        return Samples(self._gpu, size, self._layouts)
 
     def record(
         self,
@@ -109,8 +165,10 @@ class Shading:
         surface_group: Any,
         samples: Samples,
         style: Style,
+        *,
+        last: bool = False,
     ) -> None:
-        """Record the shading of a surface buffer as one more sample: bind groups 0 and 2.
+        """Record the shading of a surface buffer as one more sample: bind groups 0 and 2. The `last` makes the picture.
 
         Camera, size and style are those of all samples of the picture; only the jitter changes between them. The first
         use of a combination of colour source, light, shadows, background and overlays compiles a pipeline for it.
@@ -123,28 +181,35 @@ class Shading:
             table[:, :3] = ramp_table(style.ramp)
             self._gpu.write(samples.ramp_table, table)
             samples.ramp = style.ramp
-        if samples.count == 0:
-            encoder.clear_buffer(samples.light.raw)
+        first = samples.count == 0
+        samples.count += 1
+        if last:
+            self._gpu.write(samples.resolve, resolve_block(style, samples, encode=True))
+            group = samples.only_group if first else samples.finish_group
+        else:
+            group = samples.add_group
         width, height = samples.size
         shade = timer.compute_pass(encoder, "shade")
-        shade.set_pipeline(self._shade_pipeline(flags_of(style, image=self._image)))
+        shade.set_pipeline(self._shade_pipeline(flags_of(style, image=self._image), first, last))
         shade.set_bind_group(0, scene_group)
-        shade.set_bind_group(1, samples.shade_group)
+        shade.set_bind_group(1, group)
         shade.set_bind_group(2, surface_group)
         shade.dispatch_workgroups(-(-width // _GROUP), -(-height // _GROUP))
         shade.end()
-        samples.count += 1
 
-    def _shade_pipeline(self, flags: int) -> Any:
-        if flags not in self._shade_pipelines:
-            constants = {**self._constants, "FLAGS": flags}
-            shader = self._gpu.shader("shade", _HERE / "shade.wgsl", search=self._search, constants=constants)
-            layouts = [self._scene_layout, self._shade_layout, self._surface_layout]
-            self._shade_pipelines[flags] = self._gpu.compute("shade", shader, "shade", layouts)
-        return self._shade_pipelines[flags]
+    def _shade_pipeline(self, flags: int, first: bool, last: bool) -> Any:
+        key = flags, first, last
+        if key not in self._shade_pipelines:
+            constants = {**self._constants, "FLAGS": flags, "FIRST": first}
+            name = "finish" if last else "accumulate"
+            shader = self._gpu.shader(name, _HERE / f"{name}.wgsl", search=self._search, constants=constants)
+            own = self._layouts.finish if last else self._layouts.add
+            layouts = [self._scene_layout, own, self._surface_layout]
+            self._shade_pipelines[key] = self._gpu.compute(name, shader, name, layouts)
+        return self._shade_pipelines[key]
 
     def resolve(self, encoder: Any, timer: FrameTimer, samples: Samples, view: Any, style: Style) -> None:
-        """Record the mean of the samples as a picture, in sRGB, not multiplied by alpha.
+        """Record the mean of the samples so far as a picture, in sRGB, not multiplied by alpha.
 
         `view`: a texture view, a window's for one, of the samples' size and of a format that can be drawn to, which is
         its texture's; those that end in "-srgb" do the encoding themselves.
@@ -153,7 +218,7 @@ class Shading:
         self._gpu.write(samples.resolve, resolve_block(style, samples, encode=not form.endswith("-srgb")))
         if form not in self._resolve_pipelines:
             self._resolve_pipelines[form] = self._gpu.render(
-                "resolve", self._resolve_shader, "cover", "develop", [{"format": form}], [self._resolve_layout]
+                "resolve", self._resolve_shader, "cover", "develop", [{"format": form}], [self._layouts.resolve]
             )
         attachment = {"view": view, "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
         resolve = timer.render_pass(encoder, "resolve", color_attachments=[attachment])
@@ -190,7 +255,7 @@ def style_block(style: Style, frame: Frame) -> NDArray[np.float32]:
 
 
 def resolve_block(style: Style, samples: Samples, *, encode: bool) -> NDArray[np.float32]:
-    """The `ResolveBlock` of resolve.wgsl, (8,)."""
+    """The `ResolveBlock` of develop.wgsl, (8,)."""
     block = np.zeros(_RESOLVE_FLOATS, np.float32)
     if style.background.startswith("#"):
         block[:4] = (*parse_hex(style.background), 1.0)

@@ -6,7 +6,7 @@
 #include ramp.wgsl
 #include footprint.wgsl
 #include overlay.wgsl
-// Surface buffer to light: one thread a pixel adds one sample to the picture. Ignorant of how the surface was drawn.
+// Surface buffer to light. Ignorant of how the surface was drawn.
 
 const LIT = 1u;
 const SHADOWS = 2u;
@@ -37,7 +37,6 @@ struct StyleBlock {
 }
 
 @group(1) @binding(0) var<uniform> style: StyleBlock;
-@group(1) @binding(2) var<storage, read_write> accumulated: array<vec4<f32>>;   // sums of light and cover, row by row
 
 // What the shading of one pixel needs to know of the surface.
 struct Ground {
@@ -145,18 +144,14 @@ fn shaded(ground: Ground, ray: Ray, t: f32, detail: u32) -> vec3<f32> {
     return hazy(lined(color * light, ground, detail), ground, ray);
 }
 
-@compute @workgroup_size(8, 8)
-fn shade(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = id.xy;
-    if (any(pixel >= frame.size)) { return; }
+// Light and cover of one sample of a pixel.
+fn sample_at(pixel: vec2<u32>) -> vec4<f32> {
     let ray = pixel_ray(pixel);
     let depth = surface_depth(pixel);
-    var light = vec4<f32>(0.0);
     if (depth > 0.0) {
         let t = view_depth(depth);
-        light = vec4<f32>(shaded(ground_at(ray, t), ray, t, surface_detail(pixel)), 1.0);
-    } else if (has(SKY)) {
-        light = vec4<f32>(sky_color(style.light, normalize(ray.direction)), 1.0);
+        return vec4<f32>(shaded(ground_at(ray, t), ray, t, surface_detail(pixel)), 1.0);
     }
-    accumulated[pixel.y * frame.size.x + pixel.x] += light;
+    if (has(SKY)) { return vec4<f32>(sky_color(style.light, normalize(ray.direction)), 1.0); }
+    return vec4<f32>(0.0);
 }

@@ -156,7 +156,7 @@ class Renderer:
         depth, record_time = self._draw(frame, surface, light, style, samples)
         while self._incomplete():
             depth, record_time = self._draw(frame, surface, light, style, samples)
-        color = self._develop(light, style)
+        color = self.gpu.read_texture(light.picture).result()
         return Picture(
             frame, color, depth.result(), self._state.statistics(), self.timer.results(wait=True), record_time
         )
@@ -233,9 +233,9 @@ class Renderer:
         light.reset()
         depth: Readback | None = None
         record_time = 0.0
-        for jitter in jitters(samples):
+        for number, jitter in enumerate(jitters(samples), start=1):
             start = time.thread_time()
-            self._submit_sample(_moved(frame, jitter), surface, light, style)
+            self._submit_sample(_moved(frame, jitter), surface, light, style, last=number == samples)
             record_time = time.thread_time() - start
             depth = depth or surface.read("depth")
         assert depth is not None
@@ -249,7 +249,9 @@ class Renderer:
         known = set(self.view.wishes[0])
         self.view.wishes[0] = [*self.view.wishes[0], *(key for key in self._state.wants(frame) if key not in known)]
 
-    def _submit_sample(self, frame: Frame, surface: Surface, light: Samples, style: Style) -> None:
+    def _submit_sample(
+        self, frame: Frame, surface: Surface, light: Samples, style: Style, *, last: bool = False
+    ) -> None:
         self._frame = frame
         self.view.update(frame)
         encoder = self.gpu.encoder("frame")
@@ -259,18 +261,10 @@ class Renderer:
         added = self._state.drawn(encoder, self.timer, frame, self.view, surface.targets["depth"])
         self.rasterizer.record(encoder, self.timer, added, self.view, surface, clear=False, edges=edges)
         self.draws = (*draws, *added)
-        self.shading.record(encoder, self.timer, frame, self.view.bind_group, surface.read_group, light, style)
+        scene = self.view.bind_group
+        self.shading.record(encoder, self.timer, frame, scene, surface.read_group, light, style, last=last)
         self.timer.resolve(encoder)
         self.gpu.submit(encoder)
-
-    def _develop(self, light: Samples, style: Style) -> NDArray[np.uint8]:
-        target = self.gpu.texture("picture", light.size, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC", "surface")
-        encoder = self.gpu.encoder("resolve")
-        self.shading.resolve(encoder, self.timer, light, target.view(), style)
-        self.gpu.submit(encoder)
-        color = self.gpu.read_texture(target).result()
-        target.destroy()
-        return color
 
     def _targets_for(self, size: tuple[int, int]) -> tuple[Surface, Samples]:
         if self._targets is None or self._targets[0].size != size:
