@@ -100,29 +100,34 @@ fn under_ceiling(z: vec3<f32>, span: vec2<f32>) -> vec2<f32> {
     return select(span, vec2<f32>(1.0, 0.0), c > 0.0);
 }
 
+// A ray in a node's cells, column and row: at from + t * way. Borders are met at border * pace + start.
+struct Path { start: vec2<f32>, pace: vec2<f32>, origin: vec2<f32>, way: vec2<f32>, forwards: vec2<bool> }
+
+// `corner`: subtexels from the anchor of the node's first cell, which are 2^shift wide.
+fn path_of(o: vec2<f32>, d: vec2<f32>, corner: vec2<f32>, shift: u32) -> Path {
+    let moves = d != vec2<f32>(0.0);
+    let inverse = select(vec2<f32>(0.0), 1.0 / d, moves);
+    let start = select(vec2<f32>(1e30), (corner - o) * inverse, moves);
+    let scale = inverse_power(shift);
+    return Path(start, inverse * f32(1u << shift), (o - corner) * scale, d * scale, d >= vec2<f32>(0.0));
+}
+
 // Where a ray leaves a block of 2^k cells: its parameter, and the axis whose border it meets.
 struct Crossing { t: f32, axis: u32 }
 
-fn crossing_of(
-    c: vec2<i32>, k: u32, first: vec2<i32>, shift: u32, o: vec2<f32>, d: vec2<f32>, forwards: vec2<bool>
-) -> Crossing {
+fn crossing_of(c: vec2<i32>, k: u32, path: Path) -> Crossing {
     let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
-    let half = 1i << (shift - 1u);
-    let border = ((first + select(low, low + (1i << k), forwards)) << vec2<u32>(shift)) - half - frame.anchor;
-    let exits = select(vec2<f32>(1e30), (vec2<f32>(border) - o) / d, d != vec2<f32>(0.0));
+    let exits = fma(vec2<f32>(select(low, low + (1i << k), path.forwards)), path.pace, path.start);
     return Crossing(min(exits.x, exits.y), select(1u, 0u, exits.x <= exits.y));
 }
 
 // The cell behind a block's border: the crossed axis moves by index, the other one stays in the block.
-fn next_cell(
-    c: vec2<i32>, k: u32, crossing: Crossing, first: vec2<i32>, shift: u32, at: vec2<f32>, forwards: vec2<bool>
-) -> vec2<i32> {
+fn next_cell(c: vec2<i32>, k: u32, crossing: Crossing, t: f32, path: Path) -> vec2<i32> {
     let low = (c >> vec2<u32>(k)) << vec2<u32>(k);
     let high = low + (1i << k);
-    let half = 1i << (shift - 1u);
-    let there = ((frame.anchor + vec2<i32>(floor(at)) + half) >> vec2<u32>(shift)) - first;
-    let inside = clamp(there, select(low, c, forwards), select(c, high - 1, forwards));
-    let beyond = select(low - 1, high, forwards);
+    let there = vec2<i32>(floor(fma(path.way, vec2<f32>(t), path.origin)));
+    let inside = clamp(there, select(low, c, path.forwards), select(c, high - 1, path.forwards));
+    let beyond = select(low - 1, high, path.forwards);
     return select(inside, beyond, vec2<bool>(crossing.axis == 0u, crossing.axis == 1u));
 }
 
@@ -168,6 +173,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
             let first = (node.cell << vec2<u32>(NODE_BITS));
             var c = ((cell + half) >> vec2<u32>(shift)) - first;
             let scale = inverse_power(shift);
+            let path = path_of(o, d, vec2<f32>((first << vec2<u32>(shift)) - half - frame.anchor), shift);
             var k = select(select(7u, 2u, !from_below && t == from_t), 0u, side == BELOW);
             var way_out: Crossing;
             loop {
@@ -175,7 +181,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                 // the lanes of a group come to their cells together
                 loop {
                     steps += 1;
-                    way_out = crossing_of(c, k, first, shift, o, d, forwards);
+                    way_out = crossing_of(c, k, path);
                     if (k == 0u || steps > STEPS) { break; }
                     let entry = maxima_texel(k, c >> vec2<u32>(k));
                     let highest = textureLoad(maxima_atlas, entry, i32(node.slot), 0).x;
@@ -187,7 +193,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     t = clamp(way_out.t, t, node_end);
                     if (way_out.t >= node_end) { break; }
                     let before = c;
-                    c = next_cell(c, k, way_out, first, shift, o + t * d, forwards);
+                    c = next_cell(c, k, way_out, t, path);
                     if (k < NODE_BITS && ((before[way_out.axis] ^ c[way_out.axis]) >> (k + 1u)) != 0) { k += 1u; }
                 }
                 if (steps > STEPS) { return miss; }
@@ -233,7 +239,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                 let dives = side == BELOW && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
                 if (way_out.t >= node_end || dives) { break; }
                 let before = c;
-                c = next_cell(c, 0u, way_out, first, shift, o + t * d, forwards);
+                c = next_cell(c, 0u, way_out, t, path);
                 if (side != BELOW && ((before[way_out.axis] ^ c[way_out.axis]) >> 1u) != 0) { k = 1u; }
             }
         }

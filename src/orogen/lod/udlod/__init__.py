@@ -24,11 +24,17 @@ _log = logging.getLogger("orogen")
 FINEST_QUAD = 64
 """A texel is split into at most this many quads a side: below that the bilinear surface is flat to a thousandth."""
 
-_GROUPS = "max-compute-workgroups-per-dimension"
 _WATCHED = 8
 """Every so many frames the tile count is read back: that costs as much as an eighth of recording a frame."""
 
-_STATE = np.dtype([(name, "u4") for name in ("parents", "children", "finals", "backwards", "overflow", "tiles")])
+_GROUP = 256
+"""Invocations of a workgroup of refine.wgsl."""
+_MOST_GROUPS = 4095
+"""Workgroups of a dispatch that refine.wgsl can count."""
+_TOP_LEVELS = 5
+"""Levels that its first dispatch refines."""
+
+_STATE = np.dtype([(name, "u4") for name in ("parents", "progress", "finals", "backwards", "overflow", "tiles")])
 _BLOCK = np.dtype(
     [
         ("grid_size", "u4"),
@@ -83,11 +89,13 @@ class View(AlgorithmView):
         gpu = algorithm.clipmap.gpu
         self._block = gpu.buffer("udlod", _BLOCK.itemsize, "UNIFORM|COPY_DST", "udlod")
         self._state = gpu.buffer("udlod state", _STATE.itemsize, "STORAGE|COPY_SRC", "udlod")
-        self._dispatch = gpu.buffer("udlod dispatch", 12, "STORAGE|INDIRECT", "udlod")
+        # in turn: what a dispatch takes its arguments from must not be bound for writing
+        self._dispatches = [gpu.buffer("udlod dispatch", 12, "STORAGE|INDIRECT", "udlod") for _ in range(2)]
         self._draw = gpu.buffer("udlod draw", 20, "STORAGE|INDIRECT|COPY_SRC", "udlod")
-        self._arguments_group = gpu.bind(
-            "udlod arguments", algorithm.arguments_layout, {0: self._dispatch, 1: self._draw}
-        )
+        self._dispatch_groups = [
+            gpu.bind("udlod dispatch", algorithm.arguments_layout, {0: buffer}) for buffer in self._dispatches
+        ]
+        self._draw_group = gpu.bind("udlod draw", algorithm.arguments_layout, {0: self._draw})
         self._written: bytes = b""
         self._watch: tuple[int, Readback] | None = None
         self._frames = 0
@@ -96,11 +104,11 @@ class View(AlgorithmView):
 
     def _grow(self, capacity: int) -> None:
         algorithm, gpu = self._algorithm, self._algorithm.clipmap.gpu
-        most = min(gpu.limits["max-storage-buffer-binding-size"] // 24, 64 * gpu.limits[_GROUPS])
+        most = min(gpu.limits["max-storage-buffer-binding-size"] // 24, _GROUP * _MOST_GROUPS)
         if capacity > most:
             raise BudgetError(f"udlod: expected room for at most {most} tiles, got {capacity}; raise pixels_per_quad")
         temporary = gpu.buffer("udlod temporary tiles", 24 * capacity, "STORAGE", "udlod")
-        tiles = gpu.buffer("udlod tiles", 12 * capacity, "STORAGE", "udlod")
+        tiles = gpu.buffer("udlod tiles", 16 * capacity, "STORAGE", "udlod")
         self._capacity = capacity
         self._lists_group = gpu.bind(
             "udlod lists", algorithm.lists_layout, {0: self._block, 1: self._state, 2: temporary, 3: tiles}
@@ -118,18 +126,15 @@ class View(AlgorithmView):
         run = timer.compute_pass(encoder, "refine")
         run.set_bind_group(0, view.bind_group)
         run.set_bind_group(1, self._lists_group)
-        # refining does not read group 2: what it takes its arguments from must not be bound for writing
-        run.set_bind_group(2, self._arguments_group)
-        run.set_pipeline(algorithm.prepare_root)
+        run.set_bind_group(2, self._dispatch_groups[0])
+        run.set_pipeline(algorithm.refine_top)
         run.dispatch_workgroups(1)
-        for _ in range(passes(frame, block) - 1):
-            run.set_pipeline(algorithm.refine)
-            run.dispatch_workgroups_indirect(self._dispatch.raw, 0)
-            run.set_pipeline(algorithm.prepare_next)
-            run.dispatch_workgroups(1)
         run.set_pipeline(algorithm.refine)
-        run.dispatch_workgroups_indirect(self._dispatch.raw, 0)
-        run.set_pipeline(algorithm.prepare_render)
+        for level in range(passes(frame, block) - _TOP_LEVELS):
+            run.set_bind_group(2, self._dispatch_groups[1 - level % 2])
+            run.dispatch_workgroups_indirect(self._dispatches[level % 2].raw, 0)
+        run.set_bind_group(2, self._draw_group)
+        run.set_pipeline(algorithm.prepare_draw)
         run.dispatch_workgroups(1)
         run.end()
         self._frames += 1
@@ -178,21 +183,22 @@ class Udlod(Algorithm):
         storage = ("COMPUTE", "storage")
         uniform = ("COMPUTE", "uniform")
         self.lists_layout = gpu.layout("udlod lists", {0: uniform, 1: storage, 2: storage, 3: storage})
-        self.arguments_layout = gpu.layout("udlod arguments", {0: storage, 1: storage})
+        self.arguments_layout = gpu.layout("udlod arguments", {0: storage})
         stages = "VERTEX|COMPUTE"
         self.module = Module(
-            FOLDER / "vertex.wgsl", gpu.layout("udlod tiles", {0: (stages, "uniform"), 1: (stages, "read")})
+            FOLDER / "vertex.wgsl",
+            gpu.layout("udlod tiles", {0: (stages, "uniform"), 1: (stages, "read")}),
+            {"UDLOD_COLUMNS": settings.grid_size + 1},
         )
         size = settings.grid_size
         self.index = Mesh(gpu, [grid_triangles(size, size)], "udlod")
         search = [FOLDER, *SEARCH]
         refine = gpu.shader("udlod refine", FOLDER / "refine.wgsl", search=search, constants=clipmap.constants)
         prepare = gpu.shader("udlod prepare", FOLDER / "prepare.wgsl", search=search, constants=clipmap.constants)
-        self.refine = gpu.compute("udlod refine", refine, "refine_tiles", [clipmap.layout, self.lists_layout])
         layouts = [clipmap.layout, self.lists_layout, self.arguments_layout]
-        self.prepare_root = gpu.compute("udlod root", prepare, "prepare_root", layouts)
-        self.prepare_next = gpu.compute("udlod next", prepare, "prepare_next", layouts)
-        self.prepare_render = gpu.compute("udlod render", prepare, "prepare_render", layouts)
+        self.refine_top = gpu.compute("udlod top", refine, "refine_top", layouts)
+        self.refine = gpu.compute("udlod refine", refine, "refine_tiles", layouts)
+        self.prepare_draw = gpu.compute("udlod draw", prepare, "prepare_draw", layouts)
 
     def view(self) -> View:
         """State for one more view."""

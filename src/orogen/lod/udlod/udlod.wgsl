@@ -17,6 +17,11 @@ struct Udlod {
 
 struct Tile { x: u32, y: u32, level: u32 }
 
+// `node`: slot and level of the one node that all its heights come from, packed as in the node table, or MANY_NODES.
+struct FinalTile { x: u32, y: u32, level: u32, node: u32 }
+
+const MANY_NODES = 0xffffffffu;
+
 @group(1) @binding(0) var<uniform> udlod: Udlod;
 
 fn quad_size(level: u32) -> i32 { return i32(udlod.leaf << level); }

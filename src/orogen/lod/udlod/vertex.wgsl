@@ -1,12 +1,20 @@
 #include udlod.wgsl
 #include lod_vertex.wgsl
 
-@group(1) @binding(1) var<storage, read> tiles: array<Tile>;
+const UDLOD_COLUMNS = #{UDLOD_COLUMNS}u;    // vertices along a tile's side: a constant, since divisions by others are slow
+
+@group(1) @binding(1) var<storage, read> tiles: array<FinalTile>;
 
 // Position in the grid of a tile's vertex, which are numbered row by row.
 fn grid_position(vertex: u32) -> vec2<u32> {
-    let columns = udlod.grid_size + 1u;
-    return vec2<u32>(vertex % columns, vertex / columns);
+    return vec2<u32>(vertex % UDLOD_COLUMNS, vertex / UDLOD_COLUMNS);
+}
+
+// The same as height_at, to the bit, without looking for the node where the tile knows it.
+fn tile_height(p: Point, node: u32) -> f32 {
+    if (node == MANY_NODES) { return height_at(p); }
+    let level = node >> 16u;
+    return node_height(p, Node(node & 0xffffu, level, p.cell >> vec2<u32>(frame.subtexel_bits + NODE_BITS + level), level));
 }
 
 // 0 where the level's own grid stands, 1 where it has become that of the next level (figure 5.5).
@@ -20,7 +28,7 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let tile = tiles[instance];
     let grid = grid_position(vertex);
     let quad = quad_size(tile.level);
-    let whole = Point(tile_corner(tile) + vec2<i32>(grid) * quad, vec2<f32>(0.0));
+    let whole = Point(tile_corner(Tile(tile.x, tile.y, tile.level)) + vec2<i32>(grid) * quad, vec2<f32>(0.0));
     let morph = morph_ratio(clamp_to_extent(whole), tile.level);
     // equation 4.6 with `grid & 1`, as in figure 5.5: odd vertices move to the even one before them
     let odd = vec2<i32>(grid & vec2<u32>(1u));
@@ -36,5 +44,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     p = clamp_to_extent(p);
     let id = (tile.level << 26u) ^ (tile.y << 13u) ^ tile.x;
     let lines = vec4<f32>(vec2<f32>(grid), f32(grid.x + grid.y), 0.5);
-    return LodVertex(p, height_at(p), lines, id, resident_level(p, u32(lod_at(p))), tile.level);
+    return LodVertex(p, tile_height(p, tile.node), lines, id, resident_level(p, u32(lod_at(p))), tile.level);
 }
