@@ -28,6 +28,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--regenerate", action="store_true", help="write the goldens from what is drawn now, then look at them"
     )
+    parser.addoption(
+        "--rasterizer", default="auto", help="what draws triangles in the algorithms' contract: hardware or compute"
+    )
+    parser.addoption(
+        "--every", type=int, default=10, help="every so many frames of a flight are drawn in the nightly tests"
+    )
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -55,6 +61,12 @@ def gpu() -> Iterator[Gpu]:
 
     with open_gpu() as device:
         yield device
+
+
+@pytest.fixture(scope="session")
+def rasterizer(request: pytest.FixtureRequest) -> str:
+    """What draws triangles where a test holds for both ways; see --rasterizer."""
+    return request.config.getoption("--rasterizer")
 
 
 Golden = Callable[[str, NDArray[np.uint8]], None]

@@ -70,7 +70,7 @@ def algorithm(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def draw(gpu: Gpu, algorithm: str) -> Iterator[Draw]:
+def draw(gpu: Gpu, rasterizer: str, algorithm: str) -> Iterator[Draw]:
     """draw(landscape or heights, camera, size=, clipmap=, **scene) -> Picture; one renderer per terrain is kept."""
     renderers: dict[object, Renderer] = {}
 
@@ -83,7 +83,7 @@ def draw(gpu: Gpu, algorithm: str) -> Iterator[Draw]:
     ) -> Picture:
         if (terrain, clipmap) not in renderers:
             pyramid = open_pyramid(open_height(landscape(terrain), spacing=SPACING))
-            renderers[terrain, clipmap] = Renderer(gpu, pyramid, name=algorithm, clipmap=clipmap)
+            renderers[terrain, clipmap] = Renderer(gpu, pyramid, name=algorithm, clipmap=clipmap, rasterizer=rasterizer)
         return renderers[terrain, clipmap].render(camera, size, scene=Scene(**scene))
 
     yield run
@@ -208,10 +208,10 @@ def test_exaggeration(draw: Draw, exaggeration: float) -> None:
     check(picture, landscape("rough"), tolerance=max(1, math.ceil(exaggeration)))
 
 
-def test_curvature_of_a_small_country(gpu: Gpu, algorithm: str) -> None:
+def test_curvature_of_a_small_country(gpu: Gpu, rasterizer: str, algorithm: str) -> None:
     heights = hills(SIDE, 4000.0).astype(np.float32)
     pyramid = open_pyramid(open_height(heights, spacing=2000.0))
-    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0)) as renderer:
+    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0, rasterizer=rasterizer)) as renderer:
         camera = Camera(200_000.0, -20_000.0, 30_000.0, heading=0.0, pitch=-12.0)
         bent = renderer.render(camera, SIZE, scene=Scene(curvature=True))
         straight = renderer.render(camera, SIZE)
@@ -246,7 +246,7 @@ def inside_frustum(frame: Frame, depth: NDArray[np.float64]) -> NDArray[np.bool_
         return (point @ planes[:, :3].T + planes[:, 3] > 2 * SPACING).all(axis=-1)
 
 
-def test_the_same_frame_gives_the_same_picture(gpu: Gpu, algorithm: str, draw: Draw) -> None:
+def test_the_same_frame_gives_the_same_picture(gpu: Gpu, rasterizer: str, algorithm: str, draw: Draw) -> None:
     views = cameras("rough")
     first = draw("rough", views["low"])
     draw("rough", views["outside"])
@@ -254,7 +254,7 @@ def test_the_same_frame_gives_the_same_picture(gpu: Gpu, algorithm: str, draw: D
     np.testing.assert_array_equal(first.reverse_depth, again.reverse_depth)
     assert first.statistics == again.statistics
     pyramid = open_pyramid(open_height(landscape("rough"), spacing=SPACING))
-    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0)) as other:
+    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0, rasterizer=rasterizer)) as other:
         np.testing.assert_array_equal(first.reverse_depth, other.render(views["low"], SIZE).reverse_depth)
 
 
@@ -272,7 +272,7 @@ def test_sizes(draw: Draw, size: tuple[int, int]) -> None:
     check(picture, landscape("rough"))
 
 
-def test_a_rotated_georeference(gpu: Gpu, algorithm: str, tmp_path: Path) -> None:
+def test_a_rotated_georeference(gpu: Gpu, rasterizer: str, algorithm: str, tmp_path: Path) -> None:
     heights = landscape("rough")
     transform = rasterio.Affine(24.0, 12.0, 471_000.0, 10.0, -28.0, 5_200_000.0)
     with rasterio.open(
@@ -281,7 +281,7 @@ def test_a_rotated_georeference(gpu: Gpu, algorithm: str, tmp_path: Path) -> Non
     ) as file:  # fmt: skip
         file.write(heights, 1)
     pyramid = open_pyramid(open_height(tmp_path / "rotated.tif"))
-    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0)) as renderer:
+    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=LEVEL_0, rasterizer=rasterizer)) as renderer:
         for camera in list(standard_cameras(pyramid.grid, TrueSurface(heights)).values())[:3]:
             check(renderer.render(camera, SIZE), heights)
 
@@ -295,11 +295,11 @@ def wide() -> Heights:
 
 
 @pytest.fixture(scope="module")
-def mixed(gpu: Gpu, algorithm: str, wide: Heights) -> Iterator[Renderer]:
+def mixed(gpu: Gpu, rasterizer: str, algorithm: str, wide: Heights) -> Iterator[Renderer]:
     """Level 0 near the camera only, coarser nodes beyond."""
     pyramid = open_pyramid(open_height(wide, spacing=SPACING))
     settings = ClipmapSettings(view_distance=0.5, load_distance=0.5, memory=32 << 20)
-    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=settings)) as renderer:
+    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=settings, rasterizer=rasterizer)) as renderer:
         yield renderer
 
 

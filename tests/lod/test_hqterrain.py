@@ -198,7 +198,7 @@ def drawn(scene: Scene, frame: Frame, state: View) -> list[NDArray[Any]]:
     found = []
     for draw in draws:
         assert isinstance(draw, Patches)
-        vertices, instances = arguments(scene, draw)[:2]
+        vertices, instances = arguments(scene.gpu, draw)[:2]
         words = np.array([vertices, instances, 0, 0, 0], np.uint32)
         made = scene.gpu.buffer("arguments", words, "STORAGE", "test")
         listed = replace(draw, index=index, indirect=made, offset=0)

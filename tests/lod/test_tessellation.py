@@ -16,19 +16,18 @@ import pytest
 from numpy.typing import NDArray
 
 from lod import tessellator
-from lod.patches import VERTEX, torn_edges
+from lod.patches import torn_edges
 from lod.restricted import some_cameras, unculled
 from lod.scene import Scene, noise
+from lod.triangles import read_draw
 from oracle.landscapes import hills
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu
 from orogen.grid import Grid
 from orogen.lod import make_settings
-from orogen.lod.contract import AlgorithmView, Patches
+from orogen.lod.contract import AlgorithmView
 from orogen.lod.tessellation import FOLDER, SPACINGS, usual_size
-from orogen.raster.rasterizer import FOLDER as RASTER
-from orogen.streaming.clipmap import SEARCH
 
 ROOM = 8192
 """Triangles of a pattern at most."""
@@ -110,26 +109,7 @@ def read(scene: Scene, frame: Frame, state: AlgorithmView) -> Drawn:
     (draw,) = scene.record(frame, state)
     while state.incomplete():
         (draw,) = scene.record(frame, state)
-    assert isinstance(draw, Patches)
-    count = 3 * state.statistics().triangles
-    gpu, clipmap = scene.gpu, scene.clipmap
-    shader = gpu.shader(
-        "vertices", draw.module.path, Path(__file__).parent / "vertices.wgsl",
-        search=[RASTER, *SEARCH], constants={**clipmap.constants, **draw.module.constants},
-    )  # fmt: skip
-    layout = gpu.layout("vertices", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
-    written = gpu.buffer("vertices", VERTEX.itemsize * count, "STORAGE|COPY_SRC", "test")
-    encoder = gpu.encoder("vertices")
-    run = encoder.begin_compute_pass(label="vertices")
-    run.set_pipeline(gpu.compute("vertices", shader, "write_vertices", [clipmap.layout, draw.module.layout, layout]))
-    run.set_bind_group(0, scene.view.bind_group)
-    run.set_bind_group(1, draw.group)
-    run.set_bind_group(2, gpu.bind("vertices", layout, {0: draw.indirect, 1: written}))
-    run.dispatch_workgroups(1024, -(-count // 65536))
-    run.end()
-    gpu.submit(encoder)
-    corners = gpu.read_buffer(written).result().view(VERTEX).reshape(-1, 3).copy()
-    written.destroy()
+    corners = read_draw(scene.gpu, scene.clipmap, scene.view, draw)[0]
     texels = (corners["offset"] + frame.anchor.astype(np.float64)) / 2**frame.subtexel_bits - 0.5
     return Drawn(corners, texels)
 

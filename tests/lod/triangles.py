@@ -1,4 +1,4 @@
-"""The triangles of indexed draws of patches, read back from the GPU."""
+"""The triangles of draws of patches, read back from the GPU."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from lod.patches import VERTEX
 from lod.scene import Scene
 from orogen.frame import Frame
+from orogen.gpu import Gpu
 from orogen.gpu.wgsl import Text
-from orogen.lod.contract import AlgorithmView, Patches
+from orogen.lod.contract import AlgorithmView, Draw, Patches
 from orogen.raster.rasterizer import FOLDER
-from orogen.streaming.clipmap import SEARCH
+from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
 _COPY = """
 @group(0) @binding(0) var<storage, read> source: array<u32>;
@@ -40,50 +41,47 @@ def as_unculled(frame: Frame) -> Unculled:
 
 
 def read_triangles(scene: Scene, frame: Frame, state: AlgorithmView) -> list[NDArray[Any]]:
-    """Per draw of a frame, (instances, triangles, 3) corners of dtype VERTEX. The draws share a module and a group."""
-    draws = scene.record(frame, state)
-    if not draws:
-        return []
-    gpu, clipmap = scene.gpu, scene.clipmap
-    first = draws[0]
-    assert isinstance(first, Patches)
+    """Per draw of a frame, (instances, triangles, 3) corners of dtype VERTEX."""
+    return [read_draw(scene.gpu, scene.clipmap, scene.view, draw) for draw in scene.record(frame, state)]
+
+
+def read_draw(gpu: Gpu, clipmap: Clipmap, view: ClipmapView, draw: Draw) -> NDArray[Any]:
+    """(instances, triangles, 3) corners of dtype VERTEX of a draw of the frame that `view` was updated for."""
+    assert isinstance(draw, Patches)
+    strip = draw.topology == "triangle-strip"
+    module, layouts = draw.module, [("COMPUTE", "uniform"), ("COMPUTE", "read"), ("COMPUTE", "storage")]
     shader = gpu.shader(
-        "triangles", first.module.path, Path(__file__).parent / "triangles.wgsl",
-        search=[FOLDER, *SEARCH], constants={**clipmap.constants, **first.module.constants},
+        "triangles", module.path, Path(__file__).parent / "triangles.wgsl", search=[FOLDER, *SEARCH],
+        constants={**clipmap.constants, **module.constants, "INDEXED": draw.index is not None, "STRIP": strip},
     )  # fmt: skip
-    layout = gpu.layout(
-        "triangles",
-        {0: ("COMPUTE", "uniform"), 1: ("COMPUTE", "read"), 2: ("COMPUTE", "read"), 3: ("COMPUTE", "storage")},
-    )
-    pipeline = gpu.compute("triangles", shader, "write_corners", [clipmap.layout, first.module.layout, layout])
-    result = []
-    for draw in draws:
-        assert isinstance(draw, Patches)
-        assert draw.index is not None
-        assert draw.topology == "triangle-list"
-        assert (draw.module, draw.group) == (first.module, first.group)
-        count, instances, *_ = arguments(scene, draw)
-        written = gpu.buffer("corners", VERTEX.itemsize * count * instances, "STORAGE|COPY_SRC", "test")
-        place = gpu.buffer("place", np.array([draw.offset // 4, 0, 0, 0], np.uint32), "UNIFORM", "test")
-        encoder = gpu.encoder("corners")
-        run = encoder.begin_compute_pass(label="corners")
-        run.set_pipeline(pipeline)
-        run.set_bind_group(0, scene.view.bind_group)
-        run.set_bind_group(1, draw.group)
-        group = gpu.bind("corners", layout, {0: place, 1: draw.indirect, 2: draw.index.indices, 3: written})
-        run.set_bind_group(2, group)
-        run.dispatch_workgroups(1024, -(-count * instances // 65536))
-        run.end()
-        gpu.submit(encoder)
-        corners = gpu.read_buffer(written).result().view(VERTEX)
-        written.destroy()
-        result.append(corners.reshape(instances, count // 3, 3).copy())
+    layout = gpu.layout("triangles", dict(enumerate(layouts)))
+    own = module.layout or gpu.layout("nothing", {})
+    pipeline = gpu.compute("triangles", shader, "write_corners", [clipmap.layout, own, layout])
+    count, instances, first, base_vertex, *_ = arguments(gpu, draw)
+    triangles = max(0, count - 2) if strip else count // 3
+    if triangles * instances == 0:
+        return np.zeros((0, triangles, 3), VERTEX)
+    corners = 3 * triangles * instances
+    written = gpu.buffer("corners", VERTEX.itemsize * corners, "STORAGE|COPY_SRC", "test")
+    facts = np.array([first, base_vertex if draw.index else 0, triangles, instances], np.uint32)
+    place = gpu.buffer("draw", facts, "UNIFORM", "test")
+    indices = draw.index.indices if draw.index else gpu.buffer("no indices", 4, "STORAGE", "test")
+    encoder = gpu.encoder("corners")
+    run = encoder.begin_compute_pass(label="corners")
+    run.set_pipeline(pipeline)
+    run.set_bind_group(0, view.bind_group)
+    run.set_bind_group(1, draw.group or gpu.bind("nothing", own, {}))
+    run.set_bind_group(2, gpu.bind("corners", layout, {0: place, 1: indices, 2: written}))
+    run.dispatch_workgroups(1024, -(-corners // 65536))
+    run.end()
+    gpu.submit(encoder)
+    result = gpu.read_buffer(written).result().view(VERTEX).reshape(instances, triangles, 3).copy()
+    written.destroy()
     return result
 
 
-def arguments(scene: Scene, draw: Patches) -> list[int]:
-    """The five arguments of an indexed draw; copied by a shader, since a draw may read what copying may not."""
-    gpu = scene.gpu
+def arguments(gpu: Gpu, draw: Patches) -> list[int]:
+    """The arguments of a draw, up to five; copied by a shader, since a draw may read what copying may not."""
     layout = gpu.layout("arguments", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
     pipeline = gpu.compute("arguments", gpu.shader("arguments", Text("arguments", _COPY)), "copy", [layout])
     copied = gpu.buffer("arguments", draw.indirect.size, "STORAGE|COPY_SRC", "test")

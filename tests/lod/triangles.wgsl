@@ -1,6 +1,6 @@
 #include frame.wgsl
 #include lod_vertex.wgsl
-// What an algorithm's `lod_vertex` gives for every corner of the triangles of an indexed draw, written to a list.
+// What an algorithm's `lod_vertex` gives for every corner of the triangles of a draw, written to a list.
 
 struct Written {
     position: vec3<f32>,   // camera-relative metres
@@ -13,18 +13,25 @@ struct Written {
     instance: u32,
 }
 
-@group(2) @binding(0) var<uniform> place: vec4<u32>;   // words before the draw's arguments
-@group(2) @binding(1) var<storage, read> drawn: array<u32>;
-@group(2) @binding(2) var<storage, read> indices: array<u32>;
-@group(2) @binding(3) var<storage, read_write> written: array<Written>;
+struct Draw { first: u32, base_vertex: u32, triangles: u32, instances: u32 }
+
+const INDEXED = #{INDEXED};
+const STRIP = #{STRIP};
+
+@group(2) @binding(0) var<uniform> draw: Draw;
+@group(2) @binding(1) var<storage, read> indices: array<u32>;
+@group(2) @binding(2) var<storage, read_write> written: array<Written>;
 
 @compute @workgroup_size(64)
 fn write_corners(@builtin(global_invocation_id) id: vec3<u32>) {
     let number = id.y * 65536u + id.x;
-    let count = drawn[place.x];
-    if (number >= count * drawn[place.x + 1u] || number >= arrayLength(&written)) { return; }
+    let count = 3u * draw.triangles;
+    if (number >= count * draw.instances) { return; }
     let instance = number / count;
-    let v = lod_vertex(indices[drawn[place.x + 2u] + number % count] + drawn[place.x + 3u], instance);
+    let corner = number % count;
+    var vertex = draw.first + select(corner, corner / 3u + corner % 3u, STRIP);
+    if (INDEXED) { vertex = draw.base_vertex + indices[vertex]; }
+    let v = lod_vertex(vertex, instance);
     let position = lift(flat_position(v.point), v.height);
     let offset = vec2<f32>(v.point.cell - frame.anchor) + v.point.frac;
     written[number] = Written(position, v.height, offset, v.lines.xy, v.id, v.level, v.tile_level, instance);

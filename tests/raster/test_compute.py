@@ -203,7 +203,7 @@ def test_what_overhangs_is_left_out(gpu: Gpu, scene: Scene) -> None:
     low, high = np.array([-30.0, -20.0]), np.array([COLUMNS + 25.0, ROWS + 30.0])
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [low[0], high[1]], [high[0], high[1]]]) * 256
     vertices = np.column_stack([corners, np.full(4, 30.0)])
-    draw = soup(gpu, vertices, np.array([[0, 1, 2], [2, 1, 3]]), overhangs=True)
+    draw = soup(gpu, vertices, np.array([[0, 1, 2], [2, 1, 3]]))
     hardware, compute = (raster(scene, frame, [draw], path) for path in ("hardware", "compute"))
     assert 0.1 < (hardware["depth"] > 0).mean() < 0.9
     assert_same(hardware, compute)

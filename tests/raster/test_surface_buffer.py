@@ -127,7 +127,7 @@ def test_fragments_outside_the_data_are_left_out(gpu: Gpu, scene: Scene) -> None
     inside = scene.raster(frame, [plate(gpu, 50, 50, 1)])["depth"]
     module = Module(HERE / "overhang.wgsl", constants={"HEIGHT": 50.0, "ID": 1, "BY": 5000})
     arguments = gpu.buffer("plate", np.array([4, 1, 0, 0], np.uint32), "INDIRECT|COPY_SRC", "test")
-    wide = Patches(module, None, arguments, overhangs=True)
+    wide = Patches(module, None, arguments)
     drawn = scene.raster(frame, [wide])["depth"]
     assert 0.05 < (inside > 0).mean() < 0.95
     assert ((drawn > 0) != (inside > 0)).sum() == 0

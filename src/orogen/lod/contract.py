@@ -34,7 +34,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Patches:
-    """Instances of a grid.
+    """Instances of a grid. Vertices may lie outside the data's extent; what is drawn there is left out.
 
     The module defines `fn lod_vertex(vertex: u32, instance: u32) -> LodVertex`, see lod_vertex.wgsl and patch.wgsl.
     """
@@ -53,8 +53,6 @@ class Patches:
     patch, patches, first index, number added to all indices, 0."""
     offset: int = 0
     """Bytes before the arguments in `indirect`, a multiple of 4."""
-    overhangs: bool = False
-    """Whether vertices may lie outside the data's extent; what is drawn there is left out."""
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,6 @@ class ComputeRasterizer:
                 **module.constants,
                 **self._constants(_kind(draw)),
                 "RASTER_COVERED": self._clipmap.heights.covered,
-                "RASTER_OVERHANGS": draw.overhangs,
                 **constants,
             },
         )
@@ -255,7 +254,7 @@ class ComputeRasterizer:
 
 def _batches(draws: Sequence[Patches]) -> list[list[Patches]]:
     """Draws that follow each other and differ only in their arguments, together."""
-    same = groupby(draws, lambda d: (d.module, id(d.group), id(d.index), d.topology, d.overhangs))
+    same = groupby(draws, lambda d: (d.module, id(d.group), id(d.index), d.topology))
     return [list(batch) for _, batch in same]
 
 
@@ -264,4 +263,4 @@ def _kind(draw: Patches) -> str:
 
 
 def _key(draw: Patches) -> tuple[Any, ...]:
-    return draw.module.path, tuple(draw.module.constants.items()), _kind(draw), draw.overhangs
+    return draw.module.path, tuple(draw.module.constants.items()), _kind(draw)

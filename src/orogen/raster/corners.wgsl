@@ -13,9 +13,9 @@ const RASTER_MAX_DRAWS = #{RASTER_MAX_DRAWS}u;
 const RASTER_SUBPIXELS = 256.0;                  // positions are rounded to 1/256 pixel, as hardware does
 const RASTER_GUARD = 131072.0;                   // pixels from the picture's corner that fixed point has room for
 const RASTER_COVERED = #{RASTER_COVERED};               // every sample is valid
-const RASTER_OVERHANGS = #{RASTER_OVERHANGS};           // vertices may lie outside the data
 const RASTER_NEAR = 16u;                         // outcode: bits 0 to 3 outside a side of the picture, this one before the near plane
 const RASTER_CLIP = 32u;                         // does not fit fixed point as it is
+const RASTER_RIM = 64u;                          // so near the data's outline that rounding may cross it, or beyond
 
 struct RasterDrawRecord {
     first: u32,             // number of its first workgroup
@@ -92,19 +92,22 @@ fn raster_fixed_position(clip: vec4<f32>) -> vec2<i32> {
     return vec2<i32>(round(raster_pixel_position(clip) * RASTER_SUBPIXELS));
 }
 
-// Depth as a plane through three corners (pixels, depth). Corners are not rounded here, so that surfaces are not tilted.
+// Depth as a plane through a corner (pixels, depth). Pixels up to 1/256 beside the triangle belong to it: the plane goes on
+// there, but no farther than the corners' depths are apart, for that of a sliver may be steep.
 struct RasterDepthPlane { origin: vec3<f32>, slope: vec2<f32>, low: f32, high: f32 }
 
+// Corners are not rounded here, so that surfaces are not tilted.
 fn raster_depth_plane(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>) -> RasterDepthPlane {
     let ab = b - a;
     let ac = c - a;
     let area = ab.x * ac.y - ab.y * ac.x;
     var slope = vec2<f32>(0.0);
     if (area != 0.0) { slope = vec2<f32>(ab.z * ac.y - ac.z * ab.y, ac.z * ab.x - ab.z * ac.x) / area; }
-    return RasterDepthPlane(a, slope, min(min(a.z, b.z), c.z), max(max(a.z, b.z), c.z));
+    let low = min(min(a.z, b.z), c.z);
+    let high = max(max(a.z, b.z), c.z);
+    return RasterDepthPlane(a, slope, 2.0 * low - high, 2.0 * high - low);
 }
 
-// Never beyond the corners' depths: the plane of a sliver may be steep.
 fn raster_depth_at(plane: RasterDepthPlane, pixel: vec2<f32>) -> f32 {
     return clamp(plane.origin.z + dot(plane.slope, pixel - plane.origin.xy), plane.low, plane.high);
 }
@@ -118,16 +121,22 @@ fn raster_outcode(clip: vec4<f32>) -> u32 {
     return code | select(RASTER_CLIP, 0u, fits && clip.z <= clip.w);
 }
 
+// RASTER_RIM, or 0 for a point that lies inside by more than 1/256 of its distance: positions are rounded.
+fn raster_rim_code(p: Point) -> u32 {
+    let away = abs(p.cell - frame.anchor);
+    let margin = max(away.x, away.y) >> 8u;
+    let inside = all(p.cell > frame.extent.xy + margin) && all(p.cell < frame.extent.zw - margin);
+    return select(RASTER_RIM, 0u, inside);
+}
+
 // Whether what lies at a depth in a pixel is terrain.
 fn raster_is_ground(pixel: vec2<u32>, depth: f32) -> bool {
     let ray = pixel_ray(pixel);
     let offset = to_subtexels((ray.origin + ray.direction * view_depth(depth)).xy) + frame.eye_offset;
-    if (RASTER_OVERHANGS) {
-        let slack = 0.125 + 1e-6 * abs(offset);
-        let low = vec2<f32>(frame.extent.xy - frame.anchor) - slack;
-        let high = vec2<f32>(frame.extent.zw - frame.anchor) + slack;
-        if (any(offset < low) || any(offset > high)) { return false; }
-    }
+    let slack = 0.125 + 1e-6 * abs(offset);
+    let low = vec2<f32>(frame.extent.xy - frame.anchor) - slack;
+    let high = vec2<f32>(frame.extent.zw - frame.anchor) + slack;
+    if (any(offset < low) || any(offset > high)) { return false; }
     return RASTER_COVERED || coverage_at(point_at(offset)) >= 0.5;
 }
 

@@ -35,7 +35,7 @@ fn draw_meshlets(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
 
 fn raster_keep(at: u32, v: LodVertex) {
     let clip = raster_clip_of(v);
-    raster_codes[at] = raster_outcode(clip);
+    raster_codes[at] = raster_outcode(clip) | raster_rim_code(v.point);
     raster_positions[at] = raster_fixed_position(clip);
     raster_places[at] = vec3<f32>(raster_pixel_position(clip), clip.z / clip.w);
 }
@@ -70,9 +70,8 @@ fn raster_draw_triangle(corners: vec3<u32>, triangle: u32) {
         b = c;
         c = swap;
     }
-    let second = select(corners.y, corners.z, turned);
-    let third = select(corners.z, corners.y, turned);
-    let plane = raster_depth_plane(raster_places[corners.x], raster_places[second], raster_places[third]);
+    let plane = raster_depth_plane(raster_places[corners.x], raster_places[corners.y], raster_places[corners.z]);
+    let doubtful = !RASTER_COVERED || (any_code & RASTER_RIM) != 0u;
     let ba = b - a;
     let cb = c - b;
     let ca = a - c;
@@ -89,9 +88,7 @@ fn raster_draw_triangle(corners: vec3<u32>, triangle: u32) {
             if (any(vec3<i32>(of_c, of_a, of_b) + bias < vec3<i32>(0))) { continue; }
             let pixel = vec2<u32>(vec2<i32>(x, y));
             let depth = raster_depth_at(plane, vec2<f32>(pixel) + 0.5);
-            if (RASTER_OVERHANGS || !RASTER_COVERED) {
-                if (!raster_is_ground(pixel, depth)) { continue; }
-            }
+            if (doubtful && !raster_is_ground(pixel, depth)) { continue; }
             raster_show(pixel, depth, triangle);
         }
     }

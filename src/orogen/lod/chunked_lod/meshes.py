@@ -77,7 +77,7 @@ class MeshView(AlgorithmView):
         self._gpu.write(self._arguments, np.array([3 * CLUSTER, len(clusters), 0, 0], np.uint32))
         self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=counts.size, draws=1)
         # skirts lean out a little
-        return [Patches(self._module, self._bound(), self._arguments, "triangle-list", overhangs=True)]
+        return [Patches(self._module, self._bound(), self._arguments, "triangle-list")]
 
     def statistics(self) -> Statistics:
         """Chunks as patches; triangles of all clusters, those that only fill them up included."""

@@ -94,7 +94,6 @@ class View(AlgorithmView):
                 "triangle-list",
                 algorithm.index,
                 _ARGUMENTS * int(n),
-                overhangs=True,
             )
             for n in np.flatnonzero(self._counts)
         ]

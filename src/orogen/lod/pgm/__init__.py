@@ -171,7 +171,7 @@ class View(AlgorithmView):
         run.dispatch_workgroups(columns // _GROUP + 1, rows // _GROUP + 1)
         run.end()
         self._statistics = Statistics(triangles=(each - 2) * rows, patches=1, draws=1)
-        grid = Patches(algorithm.module, self._vertex_group, self._arguments, overhangs=True)
+        grid = Patches(algorithm.module, self._vertex_group, self._arguments)
         if not self._bound:
             return [grid]
         prisms, rays = self._bound.record(encoder, timer, frame, view, columns * rows, settings.max_error)

@@ -82,7 +82,7 @@ class BoundView:
         groups = -(-cells // _GROUP)
         run.dispatch_workgroups(min(groups, 65536 // _GROUP), -(-groups // (65536 // _GROUP)))
         run.end()
-        prisms = Patches(bound.prisms, self._prism_group, self._arguments, topology="triangle-list", overhangs=True)
+        prisms = Patches(bound.prisms, self._prism_group, self._arguments, topology="triangle-list")
         return prisms, Rays(bound.rays, self._rays_group, replace=True)
 
     def counts(self) -> tuple[int, int]:
