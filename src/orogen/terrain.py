@@ -44,6 +44,7 @@ class Terrain:
         algorithm: str | None = None,
         settings: Mapping[str, Any] | None = None,
         adapter: str | None = None,
+        rasterizer: str = "auto",
         gpu_memory: int | None = GPU_BUDGET,
     ) -> None:
         """Use `orogen.open`."""
@@ -52,7 +53,7 @@ class Terrain:
         self.colors = colors
         """The pyramid of the draped image, or None."""
         self._drawing = _chosen(algorithm, settings or {})
-        self._adapter, self._gpu_memory = adapter, gpu_memory
+        self._adapter, self._rasterizer, self._gpu_memory = adapter, rasterizer, gpu_memory
         self._queries = Queries(heights)
         self._gpu: Gpu | None = None
         self._renderer: Renderer | None = None
@@ -136,7 +137,10 @@ class Terrain:
 
             name, values, clipmap = self._drawing
             self._gpu = open_gpu(self._adapter, budget=self._gpu_memory)
-            self._renderer = Renderer(self._gpu, self.heights, self.colors, name=name, settings=values, clipmap=clipmap)
+            self._renderer = Renderer(
+                self._gpu, self.heights, self.colors,
+                name=name, settings=values, clipmap=clipmap, rasterizer=self._rasterizer,
+            )  # fmt: skip
         return self._renderer
 
     @property
@@ -234,6 +238,7 @@ def open_terrain(
     algorithm: str | None = None,
     settings: Mapping[str, Any] | None = None,
     adapter: str | None = None,
+    rasterizer: str = "auto",
     gpu_memory: int | None = GPU_BUDGET,
     cache: str | os.PathLike[str] | None = None,
     build: Literal["wait", "background", "never"] = "wait",
@@ -248,8 +253,8 @@ def open_terrain(
     + offset. nodata: stored value that means nodata. vertical_units: unit of the stored heights. crs: CRS of data that
     name none.
     algorithm: how the surface is drawn, see `orogen.lod.algorithms`; settings: of the algorithm and of the clipmap
-    (`ClipmapSettings`) by name; adapter: index, kind or part of the name of the GPU; gpu_memory: bytes of GPU memory at
-    most, None: no limit.
+    (`ClipmapSettings`) by name; adapter: index, kind or part of the name of the GPU; rasterizer: what draws
+    triangles, "hardware", "compute" or "auto"; gpu_memory: bytes of GPU memory at most, None: no limit.
     cache: folder of built pyramids. build: whether to "wait" for the pyramid, to build it in the "background" or
     "never". progress: called with the part done (0 to 1) and what is done, from any thread.
 
@@ -269,5 +274,6 @@ def open_terrain(
         algorithm=algorithm,
         settings=settings,
         adapter=adapter,
+        rasterizer=rasterizer,
         gpu_memory=gpu_memory,
     )

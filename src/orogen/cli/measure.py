@@ -124,28 +124,51 @@ def record(folder: Path, report: Report) -> list[Figure]:
 
 
 def passes(folder: Path, report: Report) -> list[Figure]:
-    """Milliseconds of the GPU's passes, all that is wanted being resident."""
+    """Milliseconds of the GPU's passes on real crops, from the standard cameras, all that is wanted being resident."""
+    from orogen.compare.cameras import standard_cameras
+    from orogen.compare.truth import TrueSurface
+    from orogen.gpu import open_gpu
     from orogen.lod import algorithms
+    from orogen.raster.compute import can_rasterize
+    from orogen.source import open_height
     from orogen.terrain import open_terrain
 
-    frames = 12
+    with open_gpu() as gpu:
+        slow, paths = gpu.info.kind == "cpu", ["compute", "hardware"] if can_rasterize(gpu) else ["hardware"]
+        adapter = gpu.info.name
+    usual: list[tuple[str, dict[str, float]]] = [(name, {}) for name in algorithms()]
+    fine = [("udlod", {"pixels_per_quad": 1.0})]
     figures = []
-    title, heights, spacing = _crops(folder)[0] if _crops(folder) else ("synthetic", "synthetic", None)
-    with open_terrain(heights, spacing=spacing) as terrain:
-        camera = terrain.camera(distance=0.2 * spacing * max(terrain.shape) if spacing else None, pitch=-15.0)
-        adapter = terrain.renderer.gpu.info.name
-        for name in algorithms():
-            terrain.use(name)
-            times: dict[str, list[float]] = {}
-            for number in range(frames):
-                report(number / (frames - 1), f"passes, {name}")
-                picture = terrain.render(camera.moved(heading=camera.heading + 30 * number), SIZE, samples=1)
-                for part, value in picture.gpu_times.items():
-                    times.setdefault(part, []).append(value)
-            group = f"{name}, {title} 1920x1080, {adapter}"
-            # the first frame compiles
-            figures += [Figure(group, f"{part}, median", statistics.median(t[1:]), "ms") for part, t in times.items()]
+    for title, heights, spacing in _crops(folder):
+        cameras = list(standard_cameras(open_height(heights, spacing=spacing).grid, TrueSurface(heights)).values())
+        for path in paths:
+            with open_terrain(heights, spacing=spacing, rasterizer=path, gpu_memory=None) as terrain:
+                work = [(SIZE, *entry) for entry in fine + usual]
+                if not slow and path == "compute":
+                    work += [((3840, 2160), *entry) for entry in [*fine, ("raycast", {})]]
+                for done, (size, name, settings) in enumerate(work):
+                    report(done / len(work), f"passes, {title}, {path}, {name}")
+                    terrain.use(name, **settings)
+                    given = "".join(f" {key}={value:g}" for key, value in settings.items())
+                    group = f"{name}{given}, {title} {size[0]}x{size[1]}, {path}, {adapter}"
+                    figures += _timings(group, terrain, cameras[:2] if slow else cameras, size, 1 if slow else 5)
     return figures
+
+
+def _timings(group: str, terrain: Any, cameras: Sequence[Any], size: tuple[int, int], count: int) -> list[Figure]:
+    """Median and 99 % of all passes, and the median of each."""
+    found = [timing for camera in cameras for timing in terrain.renderer.time_frames(camera, size, count=count)]
+    totals = sorted(sum(timing.gpu_times.values()) for timing in found)
+    parts: dict[str, list[float]] = {}
+    for timing in found:
+        for part, value in timing.gpu_times.items():
+            parts.setdefault(part, []).append(value)
+    return [
+        Figure(group, "all passes, median", statistics.median(totals), "ms"),
+        Figure(group, "all passes, 99 %", totals[math.ceil(0.99 * len(totals)) - 1], "ms"),
+        *(Figure(group, f"{part}, median", statistics.median(values), "ms") for part, values in parts.items()),
+        Figure(group, "CPU to record, median", statistics.median(1000 * timing.record_time for timing in found), "ms"),
+    ]
 
 
 def accuracy(folder: Path, report: Report) -> list[Figure]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
@@ -166,6 +166,8 @@ class DrawingOptions:
     """Setting of the algorithm or of the streaming, such as pixels_per_quad=2; repeat for several."""
     adapter: str | None = None
     """GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name; see orogen info --gpu."""
+    rasterizer: Literal["auto", "hardware", "compute"] = "auto"
+    """What draws triangles: the hardware pipeline, compute passes, or what suits the GPU."""
 
     def settings(self) -> dict[str, str]:
         """The settings by name."""

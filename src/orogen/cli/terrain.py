@@ -33,6 +33,7 @@ def open_terrain(
         algorithm=drawing.algorithm,
         settings=drawing.settings(),
         adapter=drawing.adapter,
+        rasterizer=drawing.rasterizer,
         build=build,
         progress=report,
     )

@@ -27,6 +27,8 @@ from orogen.shading.style import Style
 from orogen.streaming.clipmap import SEARCH, Clipmap
 from orogen.streaming.settings import ClipmapSettings
 
+TOGETHER = 4
+"""Frames that are submitted together to time one of them."""
 STILL_SAMPLES = 16
 """Samples per pixel that a window gathers while nothing moves."""
 
@@ -69,6 +71,16 @@ class Picture:
     def position(self) -> NDArray[np.float64]:
         """(height, width, 3): x, y in the data's CRS and height in metres of the data; NaN for the sky."""
         return self.frame.positions(self.reverse_depth)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long a frame took."""
+
+    gpu_times: Mapping[str, float]
+    """Milliseconds per pass; empty where the adapter has no timestamps."""
+    record_time: float
+    """Seconds of CPU time to record and submit it."""
 
 
 class Renderer:
@@ -160,6 +172,31 @@ class Renderer:
         return Picture(
             frame, color, depth.result(), self._state.statistics(), self.timer.results(wait=True), record_time
         )
+
+    def time_frames(
+        self,
+        camera: Camera,
+        size: tuple[int, int] = (1280, 720),
+        style: Style | None = None,
+        scene: Scene | None = None,
+        *,
+        count: int,
+    ) -> list[Timing]:
+        """Times of `count` frames with all that is wanted resident, of one sample a pixel and not read back.
+
+        Each is the last of a few that follow one another without a wait, so that the GPU is not caught resting.
+        """
+        frame = self.render(camera, size, style, scene).frame
+        surface, light = self._targets_for(size)
+        result = []
+        for _ in range(count):
+            for _ in range(TOGETHER):
+                light.reset()
+                start = time.thread_time()
+                self._submit_sample(frame, surface, light, style or Style(), last=True)
+                record_time = time.thread_time() - start
+            result.append(Timing(self.timer.results(wait=True), record_time))
+        return result
 
     def draw_to(
         self,
