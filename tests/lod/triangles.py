@@ -49,7 +49,7 @@ def read_draw(gpu: Gpu, clipmap: Clipmap, view: ClipmapView, draw: Draw) -> NDAr
     """(instances, triangles, 3) corners of dtype VERTEX of a draw of the frame that `view` was updated for."""
     assert isinstance(draw, Patches)
     strip = draw.topology == "triangle-strip"
-    module, layouts = draw.module, [("COMPUTE", "uniform"), ("COMPUTE", "read"), ("COMPUTE", "storage")]
+    module, layouts = draw.module, [("COMPUTE", "read"), ("COMPUTE", "read"), ("COMPUTE", "storage")]
     shader = gpu.shader(
         "triangles", module.path, Path(__file__).parent / "triangles.wgsl", search=[FOLDER, *SEARCH],
         constants={**clipmap.constants, **module.constants, "INDEXED": draw.index is not None, "STRIP": strip},
@@ -64,7 +64,7 @@ def read_draw(gpu: Gpu, clipmap: Clipmap, view: ClipmapView, draw: Draw) -> NDAr
     corners = 3 * triangles * instances
     written = gpu.buffer("corners", VERTEX.itemsize * corners, "STORAGE|COPY_SRC", "test")
     facts = np.array([first, base_vertex if draw.index else 0, triangles, instances], np.uint32)
-    place = gpu.buffer("draw", facts, "UNIFORM", "test")
+    place = gpu.buffer("draw", facts, "STORAGE", "test")
     indices = draw.index.indices if draw.index else gpu.buffer("no indices", 4, "STORAGE", "test")
     encoder = gpu.encoder("corners")
     run = encoder.begin_compute_pass(label="corners")

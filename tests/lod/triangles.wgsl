@@ -18,7 +18,8 @@ struct Draw { first: u32, base_vertex: u32, triangles: u32, instances: u32 }
 const INDEXED = #{INDEXED};
 const STRIP = #{STRIP};
 
-@group(2) @binding(0) var<uniform> draw: Draw;
+// not a uniform: Mesa 22 crashes where the module has one too
+@group(2) @binding(0) var<storage, read> draw: Draw;
 @group(2) @binding(1) var<storage, read> indices: array<u32>;
 @group(2) @binding(2) var<storage, read_write> written: array<Written>;
 
@@ -26,7 +27,7 @@ const STRIP = #{STRIP};
 fn write_corners(@builtin(global_invocation_id) id: vec3<u32>) {
     let number = id.y * 65536u + id.x;
     let count = 3u * draw.triangles;
-    if (number >= count * draw.instances) { return; }
+    if (number >= count * draw.instances || number >= arrayLength(&written)) { return; }
     let instance = number / count;
     let corner = number % count;
     var vertex = draw.first + select(corner, corner / 3u + corner % 3u, STRIP);
