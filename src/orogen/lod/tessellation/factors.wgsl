@@ -1,5 +1,6 @@
 #include tessellation.wgsl
 #include pattern.wgsl
+#include frustum.wgsl
 // The control stage: how finely edges and patches are divided.
 
 struct Output {
@@ -87,26 +88,7 @@ fn inner_distance(corner: vec2<u32>) -> f32 {
 fn in_frustum(corner: vec2<u32>) -> bool {
     // before the first data has come there is nothing to draw
     if (clipmap.layers[HEIGHTS].present == 0u) { return false; }
-    let low = lattice_point(corner);
-    let high = lattice_point(corner + 1u);
-    let side = u32(max(high.x - low.x, high.y - low.y));
-    let bits = i32(32u - countLeadingZeros(side));
-    let bounds = bounds_over(low, high, u32(max(0, bits - i32(frame.subtexel_bits + NODE_BITS))));
-    let a = flat_position(Point(low, vec2<f32>(0.0)));
-    let b = flat_position(Point(vec2<i32>(high.x, low.y), vec2<f32>(0.0)));
-    let c = flat_position(Point(vec2<i32>(low.x, high.y), vec2<f32>(0.0)));
-    let d = flat_position(Point(high, vec2<f32>(0.0)));
-    let far = max(max(dot(a, a), dot(b, b)), max(dot(c, c), dot(d, d)));
-    let bottom = (bounds.x - frame.eye_height) * frame.exaggeration - frame.curvature * far;
-    let top = (bounds.y - frame.eye_height) * frame.exaggeration;
-    // rounding of what is far away must not cull what touches a plane
-    let slack = 1e-6 * (sqrt(far) + abs(bottom) + abs(top));
-    for (var i = 0u; i < 5u; i += 1u) {
-        let plane = frame.planes[i];
-        let flat = max(max(dot(plane.xy, a), dot(plane.xy, b)), max(dot(plane.xy, c), dot(plane.xy, d)));
-        if (flat + max(plane.z * bottom, plane.z * top) + plane.w < -slack) { return false; }
-    }
-    return true;
+    return !rectangle_outside(lattice_point(corner), lattice_point(corner + 1u));
 }
 
 @compute @workgroup_size(64)

@@ -1,4 +1,5 @@
 #include udlod.wgsl
+#include frustum.wgsl
 // Tile refinement (Kuehnert 2022, algorithm 1, figures 5.1 to 5.3): one dispatch a level, over a list that is used from
 // both ends in turn, parents on one side and children on the other. The last workgroup of a level sets up the next, and
 // the first levels, which have no more tiles than a workgroup has invocations, are one dispatch.
@@ -67,33 +68,11 @@ fn should_be_divided(tile: Tile, low: vec2<i32>, high: vec2<i32>) -> bool {
     return nearest_distance(low, high) < range_end(tile.level - 1u) * 1.00001;
 }
 
-// Whether the box of everything drawn over the tile lies outside one of the frustum's planes.
-fn frustum_cull(low: vec2<i32>, high: vec2<i32>) -> bool {
-    let side = u32(max(high.x - low.x, high.y - low.y));
-    let node_level = u32(max(0, i32(32u - countLeadingZeros(side)) - i32(frame.subtexel_bits + NODE_BITS)));
-    let bounds = bounds_over(low, high, node_level);
-    let a = to_metres(vec2<f32>(low - frame.anchor) - frame.eye_offset);
-    let b = to_metres(vec2<f32>(high - frame.anchor) - frame.eye_offset);
-    let c = to_metres(vec2<f32>(f32(low.x - frame.anchor.x), f32(high.y - frame.anchor.y)) - frame.eye_offset);
-    let d = a + b - c;
-    let far = max(max(dot(a, a), dot(b, b)), max(dot(c, c), dot(d, d)));
-    let bottom = (bounds.x - frame.eye_height) * frame.exaggeration - frame.curvature * far;
-    let top = (bounds.y - frame.eye_height) * frame.exaggeration;
-    // rounding of positions far from the anchor must not cull what touches a plane
-    let slack = 1e-6 * (sqrt(far) + abs(bottom) + abs(top));
-    for (var i = 0u; i < 5u; i += 1u) {
-        let plane = frame.planes[i];
-        let flat = max(max(dot(plane.xy, a), dot(plane.xy, b)), max(dot(plane.xy, c), dot(plane.xy, d)));
-        if (flat + max(plane.z * bottom, plane.z * top) + plane.w < -slack) { return true; }
-    }
-    return false;
-}
-
 fn is_visible(tile: Tile, low: vec2<i32>, high: vec2<i32>) -> bool {
     if (any(low >= frame.extent.zw)) { return false; }
     // before the first data has come there is nothing to draw
     if (clipmap.layers[HEIGHTS].present == 0u) { return false; }
-    return !frustum_cull(low, high);
+    return !rectangle_outside(low, high);
 }
 
 // The one node that all heights of a tile come from, or MANY_NODES.
