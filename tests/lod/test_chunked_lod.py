@@ -267,7 +267,7 @@ def drawn_triangles(scene: Scene, frame: Frame, state: Any) -> NDArray[Any]:
         clusters = state.statistics().triangles // CLUSTER
         words = np.array([3 * CLUSTER, clusters, 0, 0, 0], np.uint32)
         index = mesh.Mesh(scene.gpu, [np.arange(3 * CLUSTER).reshape(-1, 3)], "test")
-        arguments = scene.gpu.buffer("arguments", words, "STORAGE", "test")
+        arguments = scene.gpu.buffer("arguments", words, "STORAGE|COPY_SRC", "test")
         draw = replace(draw, index=index, indirect=arguments)
 
     class Recorded:

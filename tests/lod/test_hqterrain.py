@@ -200,7 +200,7 @@ def drawn(scene: Scene, frame: Frame, state: View) -> list[NDArray[Any]]:
         assert isinstance(draw, Patches)
         vertices, instances = arguments(scene.gpu, draw)[:2]
         words = np.array([vertices, instances, 0, 0, 0], np.uint32)
-        made = scene.gpu.buffer("arguments", words, "STORAGE", "test")
+        made = scene.gpu.buffer("arguments", words, "STORAGE|COPY_SRC", "test")
         listed = replace(draw, index=index, indirect=made, offset=0)
 
         class Recorded:

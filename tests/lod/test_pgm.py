@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from lod.patches import VERTEX, torn_edges
 from lod.scene import Buffers, Scene, noise
+from lod.strips import read_strips
 from oracle.landscapes import hills
 from orogen.camera import Camera
 from orogen.compare.cracks import find_cracks
@@ -29,8 +30,6 @@ from orogen.lod import make_settings
 from orogen.lod.contract import AlgorithmView, Patches
 from orogen.lod.pgm import TAILORING, TESSELLATION, WARPING, Settings
 from orogen.lod.pgm.outline import Projector, data_corners, find_outline, ground_points, visible_volume
-from orogen.raster.rasterizer import FOLDER
-from orogen.streaming.clipmap import SEARCH
 
 ROWS, COLUMNS = 180, 220
 SIZE = (96, 64)
@@ -109,26 +108,8 @@ def read_grid(scene: Scene, frame: Frame, state: AlgorithmView) -> tuple[NDArray
     settings: Settings = state._algorithm.settings  # type: ignore[attr-defined]
     columns, rows = settings.cells(frame.size)
     each = settings.vertices_per_row(columns)
-    gpu = scene.gpu
-    shader = gpu.shader(
-        "vertices", draw.module.path, Path(__file__).parent / "vertices.wgsl",
-        search=[FOLDER, *SEARCH], constants={**scene.clipmap.constants, **draw.module.constants},
-    )  # fmt: skip
-    layout = gpu.layout("vertices", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
-    pipeline = gpu.compute("vertices", shader, "write_vertices", [scene.clipmap.layout, draw.module.layout, layout])
-    arguments = gpu.buffer("arguments", np.array([each, rows, 0, 0], np.uint32), "STORAGE", "test")
-    written = gpu.buffer("vertices", VERTEX.itemsize * each * rows, "STORAGE|COPY_SRC", "test")
-    encoder = gpu.encoder("vertices")
-    run = encoder.begin_compute_pass(label="vertices")
-    run.set_pipeline(pipeline)
-    run.set_bind_group(0, scene.view.bind_group)
-    run.set_bind_group(1, draw.group)
-    run.set_bind_group(2, gpu.bind("vertices", layout, {0: arguments, 1: written}))
-    run.dispatch_workgroups(1024, -(-each * rows // 65536))
-    run.end()
-    gpu.submit(encoder)
-    strips = gpu.read_buffer(written).result().view(VERTEX).reshape(rows, each).copy()
-    written.destroy()
+    strips = read_strips(scene, draw)
+    assert strips.shape == (rows, each)
     # strips run along the row of cells, so that a row of vertices is what they have by their near and far side
     grid = np.empty((rows + 1, columns + 1), VERTEX)
     for j in range(rows):

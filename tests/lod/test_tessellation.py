@@ -5,28 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from lod import tessellator
+from lod.lists import read
 from lod.patches import torn_edges
 from lod.restricted import some_cameras, unculled
 from lod.scene import Scene, noise
-from lod.triangles import read_draw
 from oracle.landscapes import hills
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu
 from orogen.grid import Grid
 from orogen.lod import make_settings
-from orogen.lod.contract import AlgorithmView
 from orogen.lod.tessellation import FOLDER, SPACINGS, usual_size
 
 ROOM = 8192
@@ -86,32 +83,6 @@ def test_points_slide_as_factors_grow(gpu: Gpu) -> None:
         for one, other in pairwise(edges):
             apart = np.abs(one[:, None] - other[None, :])
             assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 0.01
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """The triangles of a frame."""
-
-    corners: NDArray[Any]
-    """(n, 3) of dtype VERTEX."""
-    texels: NDArray[np.float64]
-    """(n, 3, 2) columns and rows of the corners, from the first sample."""
-
-    @property
-    def patches(self) -> NDArray[np.int64]:
-        """(n, 2): column and row of each triangle's patch."""
-        word = self.corners["id"][:, 0].astype(np.int64)
-        return np.stack([word & 0xFFFF, word >> 16], axis=1)
-
-
-def read(scene: Scene, frame: Frame, state: AlgorithmView) -> Drawn:
-    """What `state` draws for a frame, with as much room as it needs."""
-    (draw,) = scene.record(frame, state)
-    while state.incomplete():
-        (draw,) = scene.record(frame, state)
-    corners = read_draw(scene.gpu, scene.clipmap, scene.view, draw)[0]
-    texels = (corners["offset"] + frame.anchor.astype(np.float64)) / 2**frame.subtexel_bits - 0.5
-    return Drawn(corners, texels)
 
 
 SHAPES = [(75, 101), (2, 3), (90, 2), (33, 33)]

@@ -13,20 +13,9 @@ from lod.patches import VERTEX
 from lod.scene import Scene
 from orogen.frame import Frame
 from orogen.gpu import Gpu
-from orogen.gpu.wgsl import Text
 from orogen.lod.contract import AlgorithmView, Draw, Patches
 from orogen.raster.rasterizer import FOLDER
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
-
-_COPY = """
-@group(0) @binding(0) var<storage, read> source: array<u32>;
-@group(0) @binding(1) var<storage, read_write> copied: array<u32>;
-
-@compute @workgroup_size(64)
-fn copy(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x < arrayLength(&source)) { copied[id.x] = source[id.x]; }
-}
-"""
 
 
 class Unculled(Frame):
@@ -57,7 +46,7 @@ def read_draw(gpu: Gpu, clipmap: Clipmap, view: ClipmapView, draw: Draw) -> NDAr
     layout = gpu.layout("triangles", dict(enumerate(layouts)))
     own = module.layout or gpu.layout("nothing", {})
     pipeline = gpu.compute("triangles", shader, "write_corners", [clipmap.layout, own, layout])
-    count, instances, first, base_vertex, *_ = arguments(gpu, draw)
+    count, instances, first, base_vertex = arguments(gpu, draw)[:4]
     triangles = max(0, count - 2) if strip else count // 3
     if triangles * instances == 0:
         return np.zeros((0, triangles, 3), VERTEX)
@@ -81,19 +70,9 @@ def read_draw(gpu: Gpu, clipmap: Clipmap, view: ClipmapView, draw: Draw) -> NDAr
 
 
 def arguments(gpu: Gpu, draw: Patches) -> list[int]:
-    """The arguments of a draw, up to five; copied by a shader, since a draw may read what copying may not."""
-    layout = gpu.layout("arguments", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
-    pipeline = gpu.compute("arguments", gpu.shader("arguments", Text("arguments", _COPY)), "copy", [layout])
-    copied = gpu.buffer("arguments", draw.indirect.size, "STORAGE|COPY_SRC", "test")
-    encoder = gpu.encoder("arguments")
-    run = encoder.begin_compute_pass(label="arguments")
-    run.set_pipeline(pipeline)
-    run.set_bind_group(0, gpu.bind("arguments", layout, {0: draw.indirect, 1: copied}))
-    run.dispatch_workgroups(-(-draw.indirect.size // 256))
-    run.end()
-    gpu.submit(encoder)
-    words = gpu.read_buffer(copied).result().view(np.uint32)
-    return words[draw.offset // 4 :][:5].tolist()
+    """The arguments of a draw: five with an index list, else four."""
+    size = 20 if draw.index else 16
+    return gpu.read_buffer(draw.indirect, draw.offset, size, np.uint32).result().tolist()
 
 
 def with_area(draws: list[NDArray[Any]]) -> NDArray[np.float32]:

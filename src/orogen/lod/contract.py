@@ -142,6 +142,12 @@ class AlgorithmView(ABC):
     def statistics(self) -> Statistics:
         """Of the latest frame submitted; waits for the GPU."""
 
+    def unfinished(self) -> bool:
+        """Whether the latest frame's geometry is not what it will be when the same frame is drawn again, as it is where
+        refinement goes on within a time budget. Does not wait for the GPU.
+        """
+        return False
+
     def incomplete(self) -> bool:
         """Whether the latest frame lacks something for want of room; asking makes room, so that a repeat is whole."""
         return False

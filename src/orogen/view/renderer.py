@@ -208,7 +208,7 @@ class Renderer:
     ) -> bool:
         """Draw into a texture without waiting for data: from what is resident, better the next time.
 
-        True while a further call would improve the picture: data streams in, or samples smooth it.
+        True while a further call would improve the picture: data streams in, geometry is refined, or samples smooth it.
         """
         style = style or Style()
         frame = self._prepare(camera, size, scene or Scene())
@@ -220,7 +220,7 @@ class Renderer:
         frame = self.view.frame_for(frame)
         surface, light = self._targets_for(size)
         shown = (camera, size, style, scene, frame.height_range)
-        if uploaded or shown != self._shown:
+        if uploaded or shown != self._shown or self._state.unfinished():
             light.reset()
             self._shown = shown
         if light.count < STILL_SAMPLES:
@@ -229,7 +229,7 @@ class Renderer:
         self.shading.resolve(encoder, self.timer, light, view, style)
         self.gpu.submit(encoder)
         pending = self.clipmap.pending + (self.algorithm.pages.pending if self.algorithm.pages else 0)
-        return bool(pending) or light.count < STILL_SAMPLES
+        return bool(pending) or light.count < STILL_SAMPLES or self._state.unfinished()
 
     def pick(self, column: int, row: int) -> tuple[float, float, float] | None:
         """x, y in the data's CRS and height (m) of what the last picture shows at a pixel; None for the sky."""
