@@ -118,12 +118,23 @@ class Frame:
         return self.size[1] / (2 * math.tan(math.radians(fov) / 2))
 
     def lod_eye(self) -> NDArray[np.float64]:
-        """Where distances for the level of detail start: metres (east, north, up) relative to `camera`.
+        """Where distances for the level of detail start: metres (east, north, up) relative to `camera`; read-only.
 
         For an orthographic camera this is the perspective camera that sees the point in the middle of the picture,
         on the approximate ground, at the same scale.
         """
+        return self._lod_eye
+
+    @cached_property
+    def _lod_eye(self) -> NDArray[np.float64]:
+        result = self._place_of_lod_eye()
+        result.flags.writeable = False
+        return result
+
+    def _place_of_lod_eye(self) -> NDArray[np.float64]:
         lod = self.lod
+        if lod is self.camera and lod.orthographic is None:
+            return np.zeros(3)
         dx, dy = (self._metric(lod) - self._metric(self.camera)).tolist()
         eye = np.array([dx, dy, lod.z - self.camera.z])
         if lod.orthographic is None:
@@ -215,7 +226,7 @@ class Frame:
         self, origin: NDArray[np.float64], direction: NDArray[np.float64], depth: NDArray[np.floating]
     ) -> NDArray[np.float64]:
         point = origin + direction * self.view_depth(depth)[..., None]
-        texel = self.eye + point[..., :2] @ np.linalg.inv(self.grid.metres).T
+        texel = self.eye + point[..., :2] @ self.grid.texels.T
         x, y = self.grid.to_crs(texel[..., 0], texel[..., 1])
         drop = self.curvature_factor * (point[..., :2] ** 2).sum(axis=-1)
         z = (point[..., 2] + drop + self.camera.z) / self.exaggeration

@@ -8,6 +8,7 @@ Texel coordinates (tx, ty) count columns to the right and rows downwards; sample
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,14 +52,23 @@ class Grid:
         x, y = self.to_crs([0, self.width, 0, self.width], [0, 0, self.height, self.height])
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
-    @property
+    @cached_property
     def metres(self) -> NDArray[np.float64]:
-        """2 x 2 matrix that turns a step in texels (columns, rows) into metres (east, north)."""
+        """2 x 2 matrix that turns a step in texels (columns, rows) into metres (east, north); read-only."""
         a, b, _, d, e, _ = self.transform
         sx, sy = self.ground_scale
-        return np.array([[a * sx, b * sx], [d * sy, e * sy]])
+        result = np.array([[a * sx, b * sx], [d * sy, e * sy]])
+        result.flags.writeable = False
+        return result
 
-    @property
+    @cached_property
+    def texels(self) -> NDArray[np.float64]:
+        """2 x 2 matrix that turns a step in metres (east, north) into texels (columns, rows); read-only."""
+        result: NDArray[np.float64] = np.linalg.inv(self.metres).astype(np.float64)
+        result.flags.writeable = False
+        return result
+
+    @cached_property
     def spacing(self) -> float:
         """Mean distance of neighbouring samples (m)."""
         return float(np.sqrt(abs(np.linalg.det(self.metres))))

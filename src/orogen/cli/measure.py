@@ -113,13 +113,11 @@ def record(folder: Path, report: Report) -> list[Figure]:
         camera = terrain.camera()
         for name in algorithms():
             terrain.use(name)
-            times = []
-            for number in range(frames):
-                report(number / (frames - 1), f"{group}, {name}")
-                picture = terrain.render(camera.moved(heading=camera.heading + 0.1 * number), (640, 360), samples=1)
-                times.append(1000 * picture.record_time)
+            flight = [camera.moved(heading=camera.heading + 0.1 * number) for number in range(frames)]
+            report(list(algorithms()).index(name) / len(algorithms()), f"{group}, {name}")
+            times = [1000 * timing.record_time for timing in terrain.renderer.time_frames(flight, (640, 360))]
             # the first ones make pipelines and fill caches
-            figures.append(Figure(group, f"{name}, median", statistics.median(times[5:]), "ms", 2))
+            figures.append(Figure(group, f"{name}, median", statistics.median(times[5:]), "ms", 0.7))
     return figures
 
 
@@ -157,7 +155,7 @@ def passes(folder: Path, report: Report) -> list[Figure]:
 
 def _timings(group: str, terrain: Any, cameras: Sequence[Any], size: tuple[int, int], count: int) -> list[Figure]:
     """Median and 99 % of all passes, and the median of each."""
-    found = [timing for camera in cameras for timing in terrain.renderer.time_frames(camera, size, count=count)]
+    found = [timing for camera in cameras for timing in terrain.renderer.time_frames([camera] * count, size)]
     totals = sorted(sum(timing.gpu_times.values()) for timing in found)
     parts: dict[str, list[float]] = {}
     for timing in found:

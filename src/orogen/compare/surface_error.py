@@ -169,7 +169,7 @@ def _from_below(frame: Frame, position: Floats, surface: TrueSurface) -> Bools:
     """Where the surface is seen from below: the ray rises faster than the surface."""
     _, direction = frame.rays()
     tx, ty = frame.grid.to_texel(position[..., 0], position[..., 1])
-    slope = np.stack(surface.gradient(*surface.clamp(tx, ty)), axis=-1) @ np.linalg.inv(frame.grid.metres)
+    slope = np.stack(surface.gradient(*surface.clamp(tx, ty)), axis=-1) @ frame.grid.texels
     flat = np.stack([tx - frame.eye[0], ty - frame.eye[1]], axis=-1) @ frame.grid.metres.T
     bend = 2 * frame.curvature_factor * (flat * direction[..., :2]).sum(axis=-1)
     return (direction[..., 2] + bend) / frame.exaggeration > (slope * direction[..., :2]).sum(axis=-1)

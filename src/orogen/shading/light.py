@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,9 @@ def sun_direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
     return np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
 
 
+@lru_cache(maxsize=16)
 def light_of(style: Style) -> Light:
-    """The light that a style means."""
+    """The light that a style means; kept, since frames share it."""
     elevation = style.sun[1]
     # relative air mass of F. Kasten and A. T. Young, Revised optical air mass tables, 1989
     air = 1 / (math.sin(math.radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)

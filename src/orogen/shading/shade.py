@@ -62,6 +62,7 @@ class Samples:
         self.style = gpu.buffer("style", 4 * _STYLE_FLOATS, "UNIFORM|COPY_DST", "shading")
         self.ramp_table = gpu.buffer("ramp", 16 * RAMP_SIZE, "UNIFORM|COPY_DST", "shading")
         self.resolve = gpu.buffer("resolve", 4 * _RESOLVE_FLOATS, "UNIFORM|COPY_DST", "shading")
+        self._written: dict[Buffer, bytes] = {}
         self._nothing = gpu.buffer("no sums", 16, "STORAGE", "shading")
 
     @cached_property
@@ -98,6 +99,13 @@ class Samples:
     def resolve_group(self) -> Any:
         """Bind group 0 of resolve.wgsl."""
         return self._gpu.bind("resolve", self._layouts.resolve, {0: self.resolve, 1: self.light})
+
+    def write(self, buffer: Buffer, block: NDArray[np.float32]) -> None:
+        """Write what is to be in one of the uniform buffers, unless it is there already."""
+        data = block.tobytes()
+        if self._written.get(buffer) != data:
+            self._gpu.write(buffer, data)
+            self._written[buffer] = data
 
     def reset(self) -> None:
         """Start a new picture."""
@@ -175,7 +183,7 @@ class Shading:
         """
         if frame.size != samples.size:
             raise GpuError(f"shading: expected samples for the frame's {frame.size} pixels, got {samples.size}")
-        self._gpu.write(samples.style, style_block(style, frame))
+        samples.write(samples.style, style_block(style, frame))
         if samples.ramp != style.ramp:
             table = np.ones((RAMP_SIZE, 4), np.float32)
             table[:, :3] = ramp_table(style.ramp)
@@ -184,7 +192,7 @@ class Shading:
         first = samples.count == 0
         samples.count += 1
         if last:
-            self._gpu.write(samples.resolve, resolve_block(style, samples, encode=True))
+            samples.write(samples.resolve, resolve_block(style, samples, encode=True))
             group = samples.only_group if first else samples.finish_group
         else:
             group = samples.add_group
@@ -215,7 +223,7 @@ class Shading:
         its texture's; those that end in "-srgb" do the encoding themselves.
         """
         form: str = view.texture.format
-        self._gpu.write(samples.resolve, resolve_block(style, samples, encode=not form.endswith("-srgb")))
+        samples.write(samples.resolve, resolve_block(style, samples, encode=not form.endswith("-srgb")))
         if form not in self._resolve_pipelines:
             self._resolve_pipelines[form] = self._gpu.render(
                 "resolve", self._resolve_shader, "cover", "develop", [{"format": form}], [self._layouts.resolve]

@@ -74,7 +74,7 @@ def frame_block(frame: Frame) -> NDArray[np.void]:
     block["view_projection"] = frame.view_projection.T
     block["right"][:3], block["up"][:3], block["forward"][:3] = right * half_x, up * half_y, forward
     block["forward"][3] = camera.orthographic is not None
-    block["metres"], block["subtexels"] = frame.metres, np.linalg.inv(frame.metres)
+    block["metres"], block["subtexels"] = frame.metres, frame.grid.texels * (1 << frame.subtexel_bits)
     block["anchor"], block["eye_offset"] = frame.anchor, frame.eye_offset
     block["size"], block["jitter"] = frame.size, frame.jitter
     block["lod_eye"] = frame.lod_eye()

@@ -464,4 +464,4 @@ def _origins(layer: LayerGrid, bits: int, centre: NDArray[np.float64]) -> list[t
 
 def _lod_texel(frame: Frame, grid: Grid) -> NDArray[np.float64]:
     eye = np.array([float(v) for v in grid.to_texel(frame.camera.x, frame.camera.y)])
-    return eye + np.linalg.inv(grid.metres) @ frame.lod_eye()[:2]
+    return eye + grid.texels @ frame.lod_eye()[:2]

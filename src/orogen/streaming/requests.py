@@ -43,7 +43,7 @@ class LayerGrid:
     @cached_property
     def stretch(self) -> float:
         """Nodes along a row or column, whichever is more, that the mean side of a node spans: 1 for square texels."""
-        to_texels = np.linalg.inv(self.grid.metres)
+        to_texels = self.grid.texels
         return float(np.linalg.norm(to_texels, axis=1).max()) * self.grid.spacing
 
 

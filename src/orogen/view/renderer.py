@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -29,6 +29,8 @@ from orogen.streaming.settings import ClipmapSettings
 
 TOGETHER = 4
 """Frames that are submitted together to time one of them."""
+TIMED = 8
+"""Every so many frames of a window are timed."""
 STILL_SAMPLES = 16
 """Samples per pixel that a window gathers while nothing moves."""
 
@@ -80,7 +82,7 @@ class Timing:
     gpu_times: Mapping[str, float]
     """Milliseconds per pass; empty where the adapter has no timestamps."""
     record_time: float
-    """Seconds of CPU time to record and submit it."""
+    """Seconds of CPU time to record and submit the one before it, without timestamps."""
 
 
 class Renderer:
@@ -122,6 +124,7 @@ class Renderer:
         self.draws: tuple[Draw, ...] = ()
         """What the latest frame was drawn with; their buffers are those of that frame until the next one."""
         self._targets: tuple[Surface, Samples] | None = None
+        self._drawn = 0
         self._shown: tuple[Any, ...] = ()
         self._frame: Frame | None = None
 
@@ -175,26 +178,27 @@ class Renderer:
 
     def time_frames(
         self,
-        camera: Camera,
+        cameras: Sequence[Camera],
         size: tuple[int, int] = (1280, 720),
         style: Style | None = None,
         scene: Scene | None = None,
-        *,
-        count: int,
     ) -> list[Timing]:
-        """Times of `count` frames with all that is wanted resident, of one sample a pixel and not read back.
+        """How long the frames of a flight take with all that is wanted resident, of one sample a pixel, not read back.
 
-        Each is the last of a few that follow one another without a wait, so that the GPU is not caught resting.
+        Each frame is drawn after the few before it without a wait, so that the GPU is not caught resting.
         """
-        frame = self.render(camera, size, style, scene).frame
+        frames = [self.render(camera, size, style, scene).frame for camera in cameras]
         surface, light = self._targets_for(size)
         result = []
-        for _ in range(count):
-            for _ in range(TOGETHER):
+        for last in range(len(frames)):
+            for number in range(last + 1 - TOGETHER, last + 1):
                 light.reset()
+                # as in a window, where most frames are not timed
+                self.timer.enabled = number == last
                 start = time.thread_time()
-                self._submit_sample(frame, surface, light, style or Style(), last=True)
-                record_time = time.thread_time() - start
+                self._submit_sample(frames[max(number, 0)], surface, light, style or Style(), last=True)
+                if number < last:
+                    record_time = time.thread_time() - start
             result.append(Timing(self.timer.results(wait=True), record_time))
         return result
 
@@ -224,6 +228,8 @@ class Renderer:
             light.reset()
             self._shown = shown
         if light.count < STILL_SAMPLES:
+            self.timer.enabled = self._drawn % TIMED == 0
+            self._drawn += 1
             self._submit_sample(_moved(frame, jitters(STILL_SAMPLES)[light.count]), surface, light, style)
         encoder = self.gpu.encoder("resolve")
         self.shading.resolve(encoder, self.timer, light, view, style)
@@ -268,6 +274,7 @@ class Renderer:
     ) -> tuple[Readback, float]:
         """Draw all samples; gives the depth at the pixel centres and the seconds that the last one took to record."""
         light.reset()
+        self.timer.enabled = True
         depth: Readback | None = None
         record_time = 0.0
         for number, jitter in enumerate(jitters(samples), start=1):

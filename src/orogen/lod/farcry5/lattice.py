@@ -59,7 +59,7 @@ def lattice(frame: Frame, clipmap: Clipmap, patch_quads: int, pixels_per_quad: f
     block["drop_undersides"] = clipmap.heights.covered and _is_over_the_data(frame)
     block["near_reach"] = _near_reach(frame)
     # nodes lie within a child's range of splitting and a parent's width around the eye
-    stretch = float(np.linalg.norm(np.linalg.inv(frame.grid.metres), axis=1).max()) * texel_metres
+    stretch = float(np.linalg.norm(frame.grid.texels, axis=1).max()) * texel_metres
     nodes = -(-extent // node)
     needed = 2 * math.ceil(2 * reach / (PATCHES * patch_quads) * stretch + 2) + 2
     map_bits = math.ceil(math.log2(max(1, min(needed, int(nodes.max())))))
@@ -86,7 +86,7 @@ def _floor_level(frame: Frame, root_level: int, split_distance: float) -> int:
 
 def _lod_texel(frame: Frame) -> NDArray[np.float64]:
     """The LOD eye's position (column, row) in texels from the first sample."""
-    return frame.eye + np.linalg.inv(frame.grid.metres) @ frame.lod_eye()[:2] - 0.5
+    return frame.eye + frame.grid.texels @ frame.lod_eye()[:2] - 0.5
 
 
 def _is_over_the_data(frame: Frame) -> bool:

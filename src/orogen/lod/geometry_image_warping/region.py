@@ -25,7 +25,7 @@ def seen_region(frame: Frame, relief: float = 0.0) -> Floats | None:
     seen = _visible_volume(frame, relief)
     if not len(seen):
         return None
-    texels = frame.eye + seen[:, :2] @ np.linalg.inv(frame.grid.metres).T
+    texels = frame.eye + seen[:, :2] @ frame.grid.texels.T
     slack = _SLACK * max(frame.grid.shape)
     low, high = _outermost(frame)
     return np.array([texels.min(axis=0) - slack, texels.max(axis=0) + slack]).clip(low, high)
@@ -63,7 +63,7 @@ def nearest(frame: Frame) -> float:
 def rows_run_along_x(frame: Frame) -> bool:
     """Whether x, not y of the data, lies more across the LOD camera's view: rows of the images run along it."""
     heading = np.radians(frame.lod.heading)
-    x, y = np.linalg.inv(frame.grid.metres) @ [np.cos(heading), -np.sin(heading)]
+    x, y = frame.grid.texels @ [np.cos(heading), -np.sin(heading)]
     return bool(abs(x) >= abs(y))
 
 
@@ -82,7 +82,7 @@ def _visible_volume(frame: Frame, relief: float) -> Floats:
     low -= frame.curvature_factor * float((corners**2).sum(axis=1).max())
     # a flat terrain, and one of a single row of samples, is a volume too
     margin = 1e-3 * frame.grid.spacing + 1e-6 * (max(abs(low), abs(high)) + float(np.abs(corners).max()))
-    axes = np.linalg.inv(frame.grid.metres)
+    axes = frame.grid.texels
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     reach = corners @ axes.T
     sides = [(*axis, 0.0, margin - reach[:, k].min()) for k, axis in enumerate(axes)]

@@ -49,7 +49,7 @@ class Levels:
         first = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) * self._side
         last = np.minimum(first + self._side, np.array([self._grid.width, self._grid.height]) - 1)
         lod = frame.lod_eye()
-        eye = frame.eye - 0.5 + np.linalg.inv(self._grid.metres) @ lod[:2]
+        eye = frame.eye - 0.5 + self._grid.texels @ lod[:2]
         up = lod[2] + frame.camera.z
         above = np.maximum(np.maximum(self._low * frame.exaggeration - up, up - self._high * frame.exaggeration), 0)
         return np.sqrt(nearest_square(self._grid.metres, first - eye, last - eye) + above**2)

@@ -39,7 +39,7 @@ class Edges:
         self._most = most
         self._eye = frame.lod_eye()
         # sample centres lie half a texel from the texels' corners
-        self._texel = frame.eye - 0.5 + np.linalg.inv(tree.grid.metres) @ self._eye[:2]
+        self._texel = frame.eye - 0.5 + tree.grid.texels @ self._eye[:2]
 
     def leaves(self) -> Leaves:
         """The restricted quadtree in which a patch is divided while the equation exceeds 1 on any of its sides."""
