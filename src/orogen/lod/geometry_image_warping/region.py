@@ -82,8 +82,8 @@ def _visible_volume(frame: Frame, relief: float) -> Floats:
     low -= frame.curvature_factor * float((corners**2).sum(axis=1).max())
     # a flat terrain, and one of a single row of samples, is a volume too
     margin = 1e-3 * frame.grid.spacing + 1e-6 * (max(abs(low), abs(high)) + float(np.abs(corners).max()))
-    axes = frame.grid.texels
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    steps = frame.grid.texels
+    axes = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     reach = corners @ axes.T
     sides = [(*axis, 0.0, margin - reach[:, k].min()) for k, axis in enumerate(axes)]
     sides += [(*-axis, 0.0, margin + reach[:, k].max()) for k, axis in enumerate(axes)]
