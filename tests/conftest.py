@@ -32,7 +32,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--rasterizer", default="auto", help="what draws triangles in the algorithms' contract: hardware or compute"
     )
     parser.addoption(
-        "--every", type=int, default=10, help="every so many frames of a flight are drawn in the nightly tests"
+        "--every",
+        type=int,
+        help="draw every so many frames of a flight in the nightly tests; by default all on a GPU, else each tenth",
     )
 
 

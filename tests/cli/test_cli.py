@@ -216,9 +216,12 @@ def test_errors_nobody_foresaw_are_one_line_too(call, monkeypatch):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ")
 def test_control_c_ends_with_130_and_leaves_nothing(dem, tmp_path):
     command = ["fly", dem, "-o", tmp_path / "v.mp4", "--size", "320x180", "--duration", "1000"]
+    # what a shell runs in the background ignores the signal, and hands that on
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     running = subprocess.Popen(
         [sys.executable, "-m", "orogen", *map(str, command)], stderr=subprocess.PIPE, text=True, start_new_session=True
     )
+    signal.signal(signal.SIGINT, before)
     end = time.monotonic() + 60
     while not list(tmp_path.iterdir()) and running.poll() is None and time.monotonic() < end:
         time.sleep(0.05)

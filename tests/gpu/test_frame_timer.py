@@ -61,7 +61,8 @@ def test_times_by_name_add_up(gpu, spin):
     assert list(before) == list(times) == ["long", "short"]
     assert before != times
     assert times["long"] > times["short"] >= 0
-    assert 0 < sum(times.values()) <= elapsed
+    # a software driver's timestamps and the clock differ by some hundredths of a millisecond
+    assert 0 < sum(times.values()) <= elapsed + 0.1
 
 
 def test_render_passes_are_timed(gpu, spin, target):

@@ -237,4 +237,5 @@ def test_no_faults_in_the_standard_views(request: pytest.FixtureRequest, data: s
 @pytest.mark.parametrize(("data", "flight"), FLIGHTS)
 def test_no_faults_along_a_flight(request: pytest.FixtureRequest, data: str, flight: str, name: str) -> None:
     ground: Ground = request.getfixturevalue(data)
-    assert not ground.faults(name, ground.flight(flight, request.config.getoption("--every")))
+    every = request.config.getoption("--every") or (10 if ground.renderer.gpu.info.kind == "cpu" else 1)
+    assert not ground.faults(name, ground.flight(flight, every))
