@@ -115,7 +115,7 @@ def record(folder: Path, report: Report) -> list[Figure]:
             terrain.use(name)
             flight = [camera.moved(heading=camera.heading + 0.1 * number) for number in range(frames)]
             report(list(algorithms()).index(name) / len(algorithms()), f"{group}, {name}")
-            times = [1000 * timing.record_time for timing in terrain.renderer.time_frames(flight, (640, 360))]
+            times = [1000 * timing.record_time for timing in terrain.renderer.time_frames(flight, (160, 90))]
             # the first ones make pipelines and fill caches
             figures.append(Figure(group, f"{name}, median", statistics.median(times[5:]), "ms", 0.7))
     return figures
