@@ -122,10 +122,21 @@ def _share(part: Bools, whole: Bools) -> float:
     return float(part.sum()) / max(float(whole.sum()), 1.0)
 
 
+def stray_pixels(drawn: NDArray[np.floating], frame: Frame, surface: TrueSurface) -> Bools:
+    """(height, width): where a picture of reverse-z depths shows something beside the true surface or over a void."""
+    x, y, _ = np.moveaxis(frame.positions(drawn), -1, 0)
+    return _astray(drawn, *frame.grid.to_texel(x, y), surface)
+
+
+def _astray(drawn: NDArray[np.floating], tx: Floats, ty: Floats, surface: TrueSurface) -> Bools:
+    valid = surface.inside(tx, ty, STRAY) & (surface.coverage(*surface.clamp(tx, ty)) >= 0.5 - STRAY)
+    return (drawn > 0) & ~valid
+
+
 def _forward(drawn: Floats, frame: Frame, surface: TrueSurface) -> tuple[Floats, Bools]:
     x, y, _ = np.moveaxis(frame.positions(drawn), -1, 0)
     tx, ty = frame.grid.to_texel(x, y)
-    stray = (drawn > 0) & ~(surface.inside(tx, ty, STRAY) & (surface.coverage(*surface.clamp(tx, ty)) >= 0.5 - STRAY))
+    stray = _astray(drawn, tx, ty, surface)
     # a point outside belongs on the edge: that keeps rounding small and real strays large
     tx, ty = surface.clamp(tx, ty)
     true_x, true_y = frame.grid.to_crs(tx, ty)
