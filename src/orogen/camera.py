@@ -53,10 +53,14 @@ class Camera:
     def basis(self) -> NDArray[np.float64]:
         """3 x 3: the rows are the unit vectors right, up and forward in (east, north, up)."""
         h, p, r = (math.radians(a) for a in (self.heading, self.pitch, self.roll))
-        forward = np.array([math.sin(h) * math.cos(p), math.cos(h) * math.cos(p), math.sin(p)])
-        right = np.array([math.cos(h), -math.sin(h), 0.0])
-        up = np.cross(right, forward)
-        return np.array([math.cos(r) * right - math.sin(r) * up, math.sin(r) * right + math.cos(r) * up, forward])
+        east, north, climb, level = math.sin(h), math.cos(h), math.sin(p), math.cos(p)
+        forward = (east * level, north * level, climb)
+        right = (north, -east, 0.0)
+        # right x forward
+        up = (-east * climb, -north * climb, north * forward[1] + east * forward[0])
+        cos, sin = math.cos(r), math.sin(r)
+        tilted = [(cos * a - sin * b, sin * a + cos * b) for a, b in zip(right, up, strict=True)]
+        return np.array([*zip(*tilted, strict=True), forward])
 
     def moved(self, **changes: float | None) -> Camera:
         """A copy with some fields changed."""

@@ -8,7 +8,7 @@ heights are float32 metres from which the camera's height is subtracted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +21,8 @@ from orogen.grid import EARTH_RADIUS, Grid
 
 REFERENCE_FOV = 45.0
 """Vertical angle (degrees) of the perspective camera whose distances stand in for an orthographic one's."""
+# left, right, bottom, top and near of clip space: w + x, w - x, w + y, w - y, w - z (reverse z)
+_SIDES = np.array([[1, 0, 0, 1], [-1, 0, 0, 1], [0, 1, 0, 1], [0, -1, 0, 1], [0, 0, -1, 1]], np.float64)
 
 
 def subtexel_bits(grid: Grid) -> int:
@@ -81,7 +83,7 @@ class Frame:
     @cached_property
     def eye(self) -> NDArray[np.float64]:
         """The camera's position (column, row) in level-0 texels."""
-        return np.array([float(v) for v in self.grid.to_texel(self.camera.x, self.camera.y)])
+        return np.array(self.grid.texel_of(self.camera.x, self.camera.y))
 
     @cached_property
     def anchor(self) -> NDArray[np.int32]:
@@ -147,7 +149,7 @@ class Frame:
         return eye + forward * (along - back)
 
     def _metric(self, camera: Camera) -> NDArray[np.float64]:
-        return self.grid.metres @ np.array([float(v) for v in self.grid.to_texel(camera.x, camera.y)])
+        return self.grid.metres @ np.array(self.grid.texel_of(camera.x, camera.y))
 
     def _data_diagonal(self) -> float:
         return float(np.abs(self.grid.metres @ np.diag([self.grid.width, self.grid.height])).sum())
@@ -168,20 +170,18 @@ class Frame:
     @cached_property
     def view_projection(self) -> NDArray[np.float64]:
         """4 x 4 (rows first) from camera-relative metres to clip space: reverse z, infinite far, jitter applied."""
-        right, up, forward = self.camera.basis
+        right, up, forward = self.camera.basis.tolist()
         half_x, half_y = self.half_extent
+        # a sample at +jitter sees what lay there: the picture moves the other way
         shift_x, shift_y = 2 * self.jitter[0] / self.size[0], -2 * self.jitter[1] / self.size[1]
-        m = np.zeros((4, 4))
-        m[0, :3], m[1, :3] = right / half_x, up / half_y
         if self.camera.orthographic:
             near, far = self.depth_range
-            m[2, :3], m[2, 3], m[3, 3] = -forward / (far - near), far / (far - near), 1.0
+            depth, w = [*(-v / (far - near) for v in forward), far / (far - near)], [0.0, 0.0, 0.0, 1.0]
         else:
-            m[2, 3], m[3, :3] = self.camera.near, forward
-        # a sample at +jitter sees what lay there: the picture moves the other way
-        m[0] -= shift_x * m[3]
-        m[1] -= shift_y * m[3]
-        return m
+            depth, w = [0.0, 0.0, 0.0, self.camera.near], [*forward, 0.0]
+        x = [a / half_x - shift_x * b for a, b in zip((*right, 0.0), w, strict=True)]
+        y = [a / half_y - shift_y * b for a, b in zip((*up, 0.0), w, strict=True)]
+        return np.array([x, y, depth, w])
 
     def view_depth(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
         """Metres along the view axis of reverse-z depths; NaN where nothing was drawn (depth 0)."""
@@ -232,26 +232,20 @@ class Frame:
         z = (point[..., 2] + drop + self.camera.z) / self.exaggeration
         return np.stack([x, y, z], axis=-1)
 
-    def planes(self, lod: bool = True) -> NDArray[np.float64]:
-        """(5, 4): planes (nx, ny, nz, d), positive inside, of the frustum in metres relative to `camera`.
+    def planes(self) -> NDArray[np.float64]:
+        """(5, 4): planes (nx, ny, nz, d), positive inside, of the LOD camera's frustum in metres relative to `camera`.
 
-        Left, right, bottom, top, near of the LOD camera; an orthographic frustum has its near plane behind all data.
+        Left, right, bottom, top, near; an orthographic frustum has its near plane behind all data. Read-only.
         """
-        frame = (
-            Frame(
-                self.lod,
-                self.grid,
-                self.size,
-                height_range=self.height_range,
-                exaggeration=self.exaggeration,
-                curvature=self.curvature,
-            )
-            if lod and self.lod_camera
-            else self
-        )
-        m = frame.view_projection
-        # clip.z <= clip.w is the near plane under reverse z
-        planes = np.array([m[3] + m[0], m[3] - m[0], m[3] + m[1], m[3] - m[1], m[3] - m[2]])
-        shift = np.append(self._metric(frame.camera) - self._metric(self.camera), frame.camera.z - self.camera.z)
-        planes[:, 3] -= planes[:, :3] @ shift
-        return planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+        return self._planes
+
+    @cached_property
+    def _planes(self) -> NDArray[np.float64]:
+        frame = replace(self, camera=self.lod, lod_camera=None, jitter=(0.0, 0.0)) if self.lod_camera else self
+        planes = _SIDES @ frame.view_projection
+        if frame is not self:
+            shift = np.append(self._metric(frame.camera) - self._metric(self.camera), frame.camera.z - self.camera.z)
+            planes[:, 3] -= planes[:, :3] @ shift
+        planes /= np.sqrt((planes[:, :3] ** 2).sum(axis=1))[:, None]
+        planes.flags.writeable = False
+        return planes

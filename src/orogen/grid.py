@@ -80,6 +80,12 @@ class Grid:
         det = a * e - b * d
         return (e * dx - b * dy) / det, (a * dy - d * dx) / det
 
+    def texel_of(self, x: float, y: float) -> tuple[float, float]:
+        """`to_texel` of one place."""
+        a, b, c, d, e, f = self.transform
+        dx, dy, det = x - c, y - f, a * e - b * d
+        return (e * dx - b * dy) / det, (a * dy - d * dx) / det
+
     def to_crs(self, tx: ArrayLike, ty: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """CRS coordinates of texel coordinates."""
         a, b, c, d, e, f = self.transform

@@ -85,7 +85,19 @@ def test_help_is_quick_and_lists_every_command():
         seconds.append(time.perf_counter() - start)
     assert done.returncode == 0
     assert done.stderr == ""
-    for command in ("info", "render", "fly", "view", "compare", "bench", "demo", "cache"):
+    for command in (
+        "info",
+        "render",
+        "fly",
+        "view",
+        "build",
+        "export",
+        "viewshed",
+        "compare",
+        "bench",
+        "demo",
+        "cache",
+    ):
         assert re.search(rf"\b{command}\b", done.stdout)
     # 0.3 s on an idle machine; others may be at work
     assert min(seconds) < 1.0
@@ -102,7 +114,8 @@ def test_version(call):
 
 
 @pytest.mark.parametrize(
-    "command", ["info", "render", "fly", "view", "compare", "bench", "demo", "cache", "cache info"]
+    "command",
+    ["info", "render", "fly", "view", "build", "export", "compare", "bench", "demo", "cache", "cache info", "sight"],
 )
 def test_every_command_has_help(call, command):
     code, out, err = call(*command.split(), "--help")
@@ -259,6 +272,8 @@ def test_info_tells_what_rasterio_does(call, dem):
         assert (facts["nodata"], facts["type"]) == (file.nodata, file.dtypes[0])
         values = file.read(1, masked=True)
         assert facts["height_range"] == [float(values.min()), float(values.max())]
+        low, high = facts["distortion"]
+        assert 0.999 < low <= 1 <= high < 1.001
     code, out, _ = call("info", dem)
     assert code == 0
     assert "EPSG:32633" in out

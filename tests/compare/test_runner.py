@@ -479,3 +479,20 @@ def test_prelit_pictures_are_the_image(plan: Plan, tmp_path: Path) -> None:
     expected = image[75 - 24 : 75 + 24, 85 - 24 : 85 + 24]
     assert np.abs(shown - expected).mean() < 3
     assert np.corrcoef(shown.ravel(), expected.ravel())[0, 1] > 0.99
+
+
+@pytest.mark.timeout(300)  # three processes that make their pipelines
+def test_a_cluster_measures_what_this_process_measures(plan: Plan, finished: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=str(tmp_path / "dask")
+    ) as cluster:
+        runner.run(plan, tmp_path / "out", scheduler=cluster.scheduler_address)
+    for name in ("raycast", "coarse"):
+        assert [lasting(line) for line in lines(tmp_path / "out", name)] == [
+            lasting(line) for line in lines(finished, name)
+        ]
+    kept = sorted(path.relative_to(finished) for path in (finished / "pictures").rglob("*.png"))
+    assert kept
+    for path in kept:
+        assert (tmp_path / "out" / path).read_bytes() == (finished / path).read_bytes()

@@ -42,6 +42,8 @@ FPS = 30
 OUTLYING = 0.05
 """Pixels by which heights may leave the data's range: far triangles are slivers of a few hundredths of a pixel, the
 steps that drivers round their corners to."""
+REFLECTED = 0.5
+"""The same for bdam, whose meshes go on beyond the raster, reflected: at its rim they are off by as much as allowed."""
 STRAY = 5e-4
 """Share of the pixels, rounded up, that may lie beside the data: those on its outline, by rounding."""
 LOST = 0.02
@@ -134,7 +136,7 @@ class Ground:
             stray = stray_pixels(picture.reverse_depth, frame, self.surface).sum()
             if stray > math.ceil(STRAY * drawn.sum()):
                 found.append(f"{view}: {stray} of {drawn.sum()} pixels beside the data")
-            if outliers := self.outliers(picture):
+            if outliers := self.outliers(picture, REFLECTED if name == "bdam" else OUTLYING):
                 found.append(f"{view}: {outliers} pixels below or above all heights")
             if (lost := ((true > 0) & ~drawn).mean()) > LOST:
                 found.append(f"{view}: {lost:.2%} of the pixels lost")
@@ -172,10 +174,10 @@ class Ground:
         below = vertices["height"] < self.surface.height(column, row) - HANGING
         return {place.tobytes() for place in np.unique(vertices["position"][below] + np.float32(0), axis=0)}
 
-    def outliers(self, picture: Picture) -> int:
-        """Pixels whose height is outside the data's range."""
+    def outliers(self, picture: Picture, pixels: float) -> int:
+        """Pixels whose height is outside the data's range, by more than so many pixels."""
         z = picture.position[..., 2]
-        slack = 1e-3 + OUTLYING * picture.depth / picture.frame.pixels_per_radian()
+        slack = 1e-3 + pixels * picture.depth / picture.frame.pixels_per_radian()
         with np.errstate(invalid="ignore"):
             return int(((z < self.range[0] - slack) | (z > self.range[1] + slack)).sum())
 

@@ -22,8 +22,7 @@ from rasterio.transform import from_origin
 from orogen.errors import OutputError, SettingsError, SourceError, StoreError
 from orogen.keys import level_shape
 from orogen.pyramid import Pyramid, build, open_pyramid
-from orogen.source import cache, open_colour, open_height
-from orogen.source import open as opening
+from orogen.source import cache, open_colour, open_height, survey
 
 SHAPE = (700, 900)
 
@@ -223,7 +222,7 @@ def test_arrays_leave_nothing_behind(shelf: Path, tmp_path: Path, monkeypatch: p
 def test_level_0_of_slow_formats_is_stored(
     tmp_path: Path, shelf: Path, monkeypatch: pytest.MonkeyPatch, driver: str
 ) -> None:
-    monkeypatch.setattr(opening, "IN_MEMORY", 0)
+    monkeypatch.setattr(survey, "IN_MEMORY", 0)
     data = heights((1100, 2300)).astype(np.uint16)
     layout = {"tiled": False, "blockxsize": None, "blockysize": None} if driver == "GTiff" else {"zlevel": 1}
     source = open_height(write(tmp_path / "a", data, driver=driver, **layout), spacing=1)
@@ -401,5 +400,5 @@ def test_windows_outside_are_refused(level: int, rows: slice, message: str) -> N
 
 
 def test_unknown_ways_to_build_are_refused(dem: Path) -> None:
-    with pytest.raises(SettingsError, match="build: expected 'wait', 'background' or 'never', got 'later'"):
+    with pytest.raises(SettingsError, match="build: expected one of auto, wait, background, never, got 'later'"):
         open_pyramid(open_height(dem), build="later")  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from orogen.pyramid import build, open_pyramid
+from orogen.pyramid import build, open_pyramid, regions
 from orogen.pyramid.reduce import colour_means, coverage_means, filled, height_means
 from orogen.pyramid.region import Edges, HeightRegion
 from orogen.source import open_height
@@ -105,6 +105,7 @@ def test_regions_do_not_show(shape: tuple[int, int], monkeypatch: pytest.MonkeyP
     heights = np.random.default_rng(3).normal(0, 10, shape).astype(np.float32)
     found = []
     for side in (2048, 4096):
+        monkeypatch.setattr(regions, "REGION", side)
         monkeypatch.setattr(build, "REGION", side)
         with open_pyramid(open_height(heights, spacing=1)) as pyramid:
             found.append([pyramid.node_bounds(level) for level in range(pyramid.level_count)])

@@ -13,8 +13,7 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import from_origin
 
 from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height
-from orogen.source import open as opening
+from orogen.source import Source, open_colour, open_height, survey
 
 TRANSFORM = from_origin(500_000, 5_000_000, 30, 30)
 
@@ -27,7 +26,7 @@ def heights() -> Source:
 @pytest.fixture(params=[True, False], ids=["in memory", "by window"])
 def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if not request.param:
-        monkeypatch.setattr(opening, "IN_MEMORY", 0)
+        monkeypatch.setattr(survey, "IN_MEMORY", 0)
 
 
 def image(path: Path, bands: NDArray[Any], **profile: Any) -> Path:

@@ -6,11 +6,17 @@ import logging
 import random
 import threading
 import time
+import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
 
+import numpy as np
 import pytest
 
+from orogen.streaming import retry
+from orogen.streaming.faults import Faults
 from orogen.streaming.loader import Loader
 
 Make = Callable[..., Loader[int, int]]
@@ -20,8 +26,8 @@ Make = Callable[..., Loader[int, int]]
 def loader_of() -> Iterator[Make]:
     opened: list[Loader[int, int]] = []
 
-    def make(load: Callable[[int], int], threads: int = 2, ahead: int = 64) -> Loader[int, int]:
-        opened.append(Loader(load, threads=threads, ahead=ahead))
+    def make(load: Callable[[int], int], threads: int = 2, ahead: int = 64, **options: Any) -> Loader[int, int]:
+        opened.append(Loader(load, threads=threads, ahead=ahead, **options))
         return opened[-1]
 
     yield make
@@ -136,30 +142,126 @@ def test_no_more_than_so_many_values_wait_to_be_taken(loader_of: Make, threads: 
 def test_failures_are_reported_once_and_kept_until_the_key_is_dropped(
     loader_of: Make, caplog: pytest.LogCaptureFixture
 ) -> None:
-    reads = Counter[int]()
-
     def load(key: int) -> int:
-        reads[key] += 1
         if key % 3 == 0:
             raise OSError(f"expected a file, got none for {key}")
         return key
 
     caplog.set_level(logging.WARNING, "orogen")
-    loader = loader_of(load)
+    faults = Faults()
+    loader = loader_of(load, faults=faults, name="pages")
     for _ in range(5):
         loader.want(range(9))
         assert set(drained(loader)) == {1, 2, 4, 5, 7, 8}
     assert {key: str(error) for key, error in loader.failed.items()} == {
         key: f"expected a file, got none for {key}" for key in (0, 3, 6)
     }
-    assert [reads[key] for key in (0, 3, 6)] == [1, 1, 1]
-    assert len(caplog.records) == 3
+    assert sorted(record.getMessage() for record in caplog.records) == [
+        f"loading {key} failed: pages: expected a file, got none for {key}" for key in (0, 3, 6)
+    ]
+    assert {fault.cause: fault.missing for fault in faults.all} == {
+        f"pages: expected a file, got none for {key}": 1 for key in (0, 3, 6)
+    }
     loader.want([1])
     assert drained(loader) == {1: 1}
     assert loader.failed == {}
-    loader.want([0])
-    assert drained(loader) == {}
-    assert reads[0] == 2
+    assert loader.retry_in is None
+    assert [fault.missing for fault in faults.all] == [0, 0, 0]
+
+
+def test_what_failed_is_tried_again_ever_more_rarely(loader_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retry, "FIRST", 0.02)
+    monkeypatch.setattr(retry, "LONGEST", 0.16)
+    times: list[float] = []
+
+    def load(key: int) -> int:
+        if key == 1:
+            times.append(time.monotonic())
+            if len(times) < 7:
+                raise OSError("expected a file, got none")
+        return key
+
+    loader = loader_of(load)
+    loader.want([1, 2])
+    assert drained(loader) == {2: 2}
+    assert len(times) == 2, "a passing fault is waited for, a lasting one is not"
+    assert 0 < loader.retry_in < 0.2
+    loader.want([1, 2, 3])
+    deadline = time.monotonic() + 10
+    found: dict[int, int] = {}
+    while 1 not in found:
+        assert time.monotonic() < deadline
+        found.update(loader.take(10))
+        time.sleep(0.005)
+    assert set(loader.failed) == {1}, "it has still to prove useful"
+    loader.done(1)
+    assert loader.failed == {}
+    assert loader.pending == 0
+    gaps = [after - before for before, after in pairwise(times)]
+    for gap, least in zip(gaps, (0.02, 0.04, 0.08, 0.16, 0.16, 0.16), strict=True):
+        assert gap >= least
+
+
+def test_a_value_that_could_not_be_used_is_loaded_again(loader_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retry, "FIRST", 0.02)
+    reads = Counter[int]()
+
+    def load(key: int) -> int:
+        reads[key] += 1
+        return reads[key]
+
+    loader = loader_of(load)
+    loader.want([7])
+    for times in (1, 2, 3):
+        assert loader.failed.keys() == ({7} if times > 1 else set())
+        while not (taken := loader.take(1)):
+            time.sleep(0.005)
+        assert taken == [(7, times)]
+        if times < 3:
+            loader.fail(7, OSError("no room for it"))
+    loader.done(7)
+    assert loader.failed == {}
+    assert loader.pending == 0
+
+
+def test_something_may_stand_in_until_a_key_comes(loader_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retry, "FIRST", 0.02)
+    broken = {5, 6}
+
+    def load(key: int) -> int:
+        if key in broken:
+            raise OSError("no")
+        return key
+
+    loader = loader_of(load, stand_in=lambda key: -key if key == 5 else 1 // 0)
+    loader.want([5, 6])
+    assert drained(loader) == {5: -5}
+    assert set(loader.failed) == {5, 6}
+    broken.clear()
+    found: dict[int, int] = {}
+    while found.keys() != {5, 6}:
+        found.update(loader.take(2))
+        time.sleep(0.005)
+    assert found == {5: 5, 6: 6}
+
+
+def test_failures_hold_no_data(loader_of: Make) -> None:
+    """What the calls that failed had at hand is let go."""
+    gone: list[weakref.ref[np.ndarray]] = []
+
+    def load(key: int) -> int:
+        data = np.zeros(1000)
+        gone.append(weakref.ref(data))
+        try:
+            return int("x")
+        except ValueError as error:
+            raise OSError("no") from error
+
+    loader = loader_of(load)
+    loader.want([1])
+    drained(loader)
+    assert set(loader.failed) == {1}
+    assert [there() for there in gone] == [None] * len(gone)
 
 
 def test_waiting_ends_with_the_time_given(loader_of: Make) -> None:

@@ -6,7 +6,8 @@ import pytest
 from orogen.camera import Camera
 from orogen.frame import Frame
 from orogen.grid import Grid
-from orogen.view.controls import FlyControls, Ground, OrbitControls
+from orogen.view.controls import Ground, OrbitControls
+from orogen.view.flying import FlyControls, WalkControls
 
 DEGREES = Grid(1201, 1201, (1 / 1200, 0.0, -122.0, 0.0, -1 / 1200, 47.0), "EPSG:4326", (76000.0, 111200.0))
 ROTATED = Grid(4000, 9000, (8.0, 6.0, 5e5, 6.0, -8.0, 4e6), "EPSG:32633")
@@ -250,6 +251,7 @@ def test_home(controls):
     world.settle()
     assert world.controls.camera != start
     world.send("key_down", key="Home")
+    world.settle()
     assert world.controls.camera == start
 
 
@@ -369,3 +371,76 @@ def test_what_means_nothing_asks_for_no_picture(controls):
     assert not world.send("key_up", key="F5")
     assert not world.controls.moving
     assert world.controls.advance(1.0) == world.controls.camera
+
+
+def test_a_swipe_sideways_turns_about_what_is_under_the_pointer():
+    world = World(ROTATED, OrbitControls)
+    point = world.pick(450, 600)
+    place = world.on_screen(point)
+    before = world.controls.camera
+    for _ in range(10):  # a touchpad sends many small steps, and never quite level ones
+        world.send("wheel", dx=10.0, dy=1.0, x=300.33, y=400.33)
+    assert world.controls.camera.heading == pytest.approx(before.heading + 10.0)
+    assert not world.controls.moving
+    assert world.on_screen(point) == pytest.approx(place, abs=0.1)
+
+
+def test_many_small_notches_are_as_far_as_one():
+    worlds = World(ROTATED, OrbitControls), World(ROTATED, OrbitControls)
+    for _ in range(40):
+        worlds[0].send("wheel", dx=0.5, dy=-2.5, x=300, y=400)
+    worlds[1].send("wheel", dx=0.0, dy=-100.0, x=300, y=400)
+    for world in worlds:
+        world.settle()
+    assert worlds[0].controls.camera.z == pytest.approx(worlds[1].controls.camera.z, rel=1e-6)
+
+
+@pytest.mark.parametrize("controls", [OrbitControls, FlyControls])
+def test_going_to_a_camera(controls):
+    world = World(DEGREES, controls)
+    start = world.controls.camera
+    goal = start.moved(x=start.x + 0.1, y=start.y - 0.05, z=start.z + 900, heading=350.0, pitch=-60.0, fov=30.0)
+    world.controls.go_to(goal)
+    headings = []
+    while world.controls.moving:
+        world.controls.advance(1 / 60)
+        headings.append(world.controls.camera.heading)
+    assert world.controls.camera == goal
+    assert all(heading <= 30.0 or heading >= 350.0 for heading in headings)  # the short way, through north
+    assert 20 < len(headings) < 300
+    world.controls.go_to(start)
+    world.controls.advance(1 / 60)
+    world.send("pointer_down", x=400, y=300)
+    world.send("pointer_up", x=400, y=300)
+    assert world.settle() == 0  # a hand on the wheel stops it
+    assert world.controls.camera != start
+
+
+def test_another_exaggeration_lifts_the_camera():
+    world = World(ROTATED, OrbitControls, height=100.0)
+    higher = Ground(ROTATED, lambda x, y: LEVEL, world.pick, 5.0)
+    world.controls.stand_on(higher)
+    assert world.controls.camera.z == pytest.approx(5 * LEVEL + higher.clearance)
+
+
+def hill(x, y):
+    return 500.0 + 0.05 * (x - 500000.0)
+
+
+@pytest.mark.parametrize(("keys", "pitch"), [("w", -60.0), ("w", 40.0), ("a", 0.0), ("wE", 0.0)])
+def test_walking_stays_on_the_ground(keys, pitch):
+    ground = Ground(ROTATED, hill, lambda column, row: None, EXAGGERATION)
+    x, y = (float(v) for v in ROTATED.to_crs(2000.0, 4000.0))
+    controls = WalkControls(Camera(x, y, 9000.0, heading=90.0, pitch=pitch), ground, SIZE, RATIO)
+    assert controls.camera.z == pytest.approx(EXAGGERATION * hill(x, y) + 1.7)
+    for key in keys:
+        controls.handle({"event_type": "key_down", "key": key})
+    for _ in range(120):
+        controls.advance(1 / 60)
+        assert controls.camera.z == pytest.approx(EXAGGERATION * hill(controls.camera.x, controls.camera.y) + 1.7)
+    walked = math.hypot(controls.camera.x - x, controls.camera.y - y)
+    # two seconds at half a spacing a second and the time to get going; looking up or down does not slow it
+    assert 0.5 * ROTATED.spacing * 1.5 < walked < 0.5 * ROTATED.spacing * 2.1
+    controls.handle({"event_type": "pointer_down", "x": 100, "y": 100, "button": 1, "modifiers": ()})
+    controls.handle({"event_type": "pointer_move", "x": 180, "y": 100})
+    assert controls.camera.heading == pytest.approx(90 + 80 * 120 / 600)

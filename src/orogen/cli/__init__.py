@@ -32,11 +32,23 @@ for _name, _help in {
     "render": "Draw a picture.",
     "fly": "Draw a video along a flight.",
     "view": "Open a window to move through the terrain.",
+    "serve": "Show the terrain in a browser.",
+    "build": "Build all levels of a raster, to be opened later without the raster.",
+    "export": "Write a part as triangles or heights for other programs.",
     "compare": "Compare terrain algorithms on the same data and flight, and write a report.",
     "bench": "Measure speed, memory and exactness, each against its target.",
     "demo": "Draw example pictures and a short video from built-in terrain.",
 }.items():
     app.command(f"orogen.cli.{_name}:{_name}", name=_name, help=_help)
+for _name, _help in {
+    "height": "Tell the height of the surface at a place.",
+    "profile": "Tell the heights along a line.",
+    "sight": "Tell whether one place is seen from another.",
+    "viewshed": "Write what is seen from a place as a GeoTIFF.",
+    "shadow": "Write where the sun shines as a GeoTIFF.",
+    "slope": "Write how steep the terrain is as a GeoTIFF.",
+}.items():
+    app.command(f"orogen.cli.query:{_name}", name=_name, help=_help)
 app.command("orogen.cli.cache:app", name="cache", help="Look at the cache of built pyramids, or clear it.")
 app.register_install_completion_command()
 

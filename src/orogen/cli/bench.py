@@ -35,7 +35,8 @@ def bench(
     data
         Folder with the test data. [default: OROGEN_TEST_DATA, else ../shared/data]
     only
-        Measure just this: speed, pyramid, record, passes, accuracy or rays; repeat for several.
+        Measure just this: speed, pyramid, record, passes, accuracy, rays, queries, large or endless;
+        repeat for several.
     json
         Write JSON.
     """

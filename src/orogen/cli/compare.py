@@ -39,6 +39,7 @@ def compare(
     freeze: Flag = False,
     set: Annotated[list[str] | None, Parameter(negative="", metavar="KEY=VALUE")] = None,
     adapter: str | None = None,
+    scheduler: str | None = None,
     force: Flag = False,
     json: Flag = False,
     scene: SceneOptions | None = None,
@@ -50,7 +51,7 @@ def compare(
     Parameters
     ----------
     data
-        Raster: a path, URL or GDAL name, or "synthetic".
+        Raster: a path, URL or GDAL name, "synthetic" or "procedural".
     output
         Folder of the report, its tables and pictures.
     entry
@@ -91,6 +92,9 @@ def compare(
         Setting of the streaming, the same for all, such as memory=100000000; repeat for several.
     adapter
         GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name.
+    scheduler
+        Address of a Dask scheduler whose workers measure the frames, such as tcp://host:8786; they must see the same
+        files, and times are those of their machines. [default: this process measures them]
     force
         Replace a comparison of another plan in the folder.
     json
@@ -130,7 +134,7 @@ def compare(
         adapter=adapter,
     )
     with console.progress() as report:
-        written = run(plan, output, progress=report, force=force)
+        written = run(plan, output, progress=report, force=force, scheduler=scheduler)
     result: dict[str, Any] = {"report": written, "entries": [item.label for item in plan.entries]}
     lines = [str(written)]
     if equal_triangles:

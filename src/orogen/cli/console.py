@@ -44,6 +44,12 @@ def error(message: str) -> None:
     sys.stderr.write(f"orogen: error: {message}\n")
 
 
+def note(message: str) -> None:
+    """Say something in advance, unless told to be quiet."""
+    if not _quiet:
+        sys.stderr.write(f"orogen: {message}\n")
+
+
 @contextlib.contextmanager
 def progress() -> Iterator[Report]:
     """Bars on stderr, one for each thing that is done; nothing without a terminal or with -q."""
@@ -101,6 +107,13 @@ def size_text(size: float) -> str:
             return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
         size /= 1000
     raise AssertionError("unreachable")
+
+
+def time_text(seconds: float) -> str:
+    """Seconds for people."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def _text(value: Any) -> str:

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DataOptions, DrawingOptions, Flag, SceneOptions, Size, StyleOptions
+from orogen.cli.options import DrapedOptions, DrawingOptions, Flag, SceneOptions, Size, StyleOptions
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from orogen.camera import Camera
     from orogen.shading.style import Style
     from orogen.terrain import Terrain
     from orogen.view.flight import Flight
@@ -33,19 +34,20 @@ def fly(
     duration: float | None = None,
     size: Size = (1280, 720),
     samples: int = 4,
+    scheduler: str | None = None,
     overwrite: Flag = False,
     json: Flag = False,
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     drawing: DrawingOptions | None = None,
-    options: DataOptions | None = None,
+    options: DrapedOptions | None = None,
 ) -> None:
     """Draw a video along a flight; every frame is complete before it is written.
 
     Parameters
     ----------
     data
-        Raster: a path, URL or GDAL name, or "synthetic".
+        Raster: a path, URL or GDAL name, "synthetic" or "procedural".
     flight
         Flight file (.json), or a built-in flight: orbit, descent, rotation, zoom, teleport, crawl, descent-puget,
         descent-taiwan.
@@ -59,11 +61,15 @@ def fly(
         Width and height in pixels.
     samples
         Samples per pixel, which smooth edges.
+    scheduler
+        Address of a Dask scheduler whose workers draw the frames, such as tcp://host:8786; they must see the same
+        files. [default: this process draws them]
     overwrite
         Replace a file that exists.
     json
         Write JSON about the video to stdout.
     """
+    from orogen.cli.spread import Place, drawn
     from orogen.cli.terrain import open_terrain, scene_of
     from orogen.view.flight import Flight
     from orogen.view.video import VideoWriter
@@ -75,9 +81,15 @@ def fly(
     look, before = (style or StyleOptions()).style(), scene_of(scene)
     start = time.perf_counter()
     with console.progress() as report, open_terrain(data, options, drawing, report) as terrain, video:
-        for part, color in frames(terrain, way, fps, size, look, before, samples):
+        views = flown(terrain, way, fps, look, before)
+        colors: Iterator[NDArray[np.uint8]]
+        if scheduler is None:
+            colors = (terrain.render(eye, size, shown, before, samples=samples).color for eye, shown in views)
+        else:
+            colors = drawn(scheduler, Place(data, options, drawing), views, size, before, samples)
+        for number, color in enumerate(colors, start=1):
             video.write(color)
-            report(part, str(output))
+            report(number / len(views), str(output))
     result = {
         "file": str(output),
         "frames": video.frames,
@@ -98,9 +110,13 @@ def frames(
     samples: int,
 ) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     """(part done, picture) of every frame of a flight over a terrain."""
+    views = flown(terrain, flight, fps, style, scene)
+    for number, (camera, look) in enumerate(views, start=1):
+        yield number / len(views), terrain.render(camera, size, look, scene, samples=samples).color
+
+
+def flown(terrain: Terrain, flight: Flight, fps: float, style: Style, scene: Scene) -> list[tuple[Camera, Style]]:
+    """Camera and style of every frame of a flight over a terrain."""
     path = flight.over(terrain.grid, terrain.height_range, exaggeration=scene.exaggeration, height_at=terrain.height_at)
-    count = path.frame_count(fps)
-    for number, (t, camera) in enumerate(path.frames(fps), start=1):
-        sun = path.sun_at(t)
-        look = style if sun is None else replace(style, sun=sun)
-        yield number / count, terrain.render(camera, size, look, scene, samples=samples).color
+    suns = ((camera, path.sun_at(t)) for t, camera in path.frames(fps))
+    return [(camera, style if sun is None else replace(style, sun=sun)) for camera, sun in suns]

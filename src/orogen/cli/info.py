@@ -7,25 +7,24 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DataOptions, Flag
+from orogen.cli.options import DrapedOptions, Flag, one_or_all
 from orogen.errors import SettingsError
 
 
 def info(
-    data: str | None = None,
-    /,
-    *,
+    *data: str,
     gpu: Flag = False,
     json: Flag = False,
     adapter: Annotated[str | None, Parameter(show_default=False)] = None,
-    options: DataOptions | None = None,
+    options: DrapedOptions | None = None,
 ) -> None:
     """Tell what a raster is, or which GPU is used.
 
     Parameters
     ----------
     data
-        Raster: a path, URL or GDAL name, or "synthetic".
+        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
+        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     gpu
         Tell about the GPU: its name, driver, features, limits and memory.
     json
@@ -33,12 +32,12 @@ def info(
     adapter
         GPU to tell about: index, kind or part of its name.
     """
-    if data is None and not gpu:
+    if not data and not gpu:
         raise SettingsError("expected a raster or --gpu, got neither")
     result: dict[str, Any] = {}
     lines: list[str] = []
-    if data is not None:
-        result |= raster_facts(data, options or DataOptions())
+    if data:
+        result |= raster_facts(one_or_all(data), options or DrapedOptions())
         lines += console.table(result)
     if gpu:
         result["gpu"] = gpu_facts(adapter)
@@ -46,11 +45,14 @@ def info(
     console.show(result, json, lines)
 
 
-def raster_facts(data: str, options: DataOptions) -> dict[str, Any]:
+def raster_facts(data: str | list[str], options: DrapedOptions) -> dict[str, Any]:
     """What is known of a raster without building its pyramid."""
     from orogen.keys import level_count
     from orogen.pyramid.open import open_pyramid
+    from orogen.shading.ramp import ramp_stops
     from orogen.source import open_colour, open_height
+    from orogen.source.contract import attribution_of
+    from orogen.source.scale import distortion
 
     source = open_height(
         data,
@@ -60,6 +62,9 @@ def raster_facts(data: str, options: DataOptions) -> dict[str, Any]:
         nodata=options.nodata,
         vertical_units=options.vertical_units,
         crs=options.crs,
+        encoding=options.encoding,
+        zoom=options.zoom,
+        area=options.area,
     )
     grid = source.grid
     pyramid = open_pyramid(source, build="never")
@@ -74,6 +79,8 @@ def raster_facts(data: str, options: DataOptions) -> dict[str, Any]:
         "bounds": grid.bounds,
         "transform": grid.transform,
         "metres_per_sample": spacing if grid.transform[1] == grid.transform[3] == 0 else grid.spacing,
+        "ground_scale": grid.ground_scale,
+        "distortion": distortion(grid),
         "height_range": (low, high),
         "height_range_exact": pyramid.built,
         "nodata": source.nodata,
@@ -82,11 +89,21 @@ def raster_facts(data: str, options: DataOptions) -> dict[str, Any]:
         "levels": level_count(grid.shape),
         "pyramid_built": pyramid.built,
     }
+    credits = [attribution_of(source)]
     if options.color is not None:
-        colors = open_colour(options.color, source, color_extent=options.color_extent, crs=options.crs)  # type: ignore[arg-type]
+        ramp = ramp_stops(options.color_ramp) if options.color_ramp else None
+        colors = open_colour(
+            options.color,
+            source,
+            color_extent=options.color_extent,  # type: ignore[arg-type]
+            crs=options.crs,
+            ramp=ramp,
+        )
         facts["color"] = colors.name
         facts["color_bounds"] = colors.grid.bounds
+        credits.append(attribution_of(colors))
         colors.close()
+    facts["attribution"] = options.attribution or "; ".join(dict.fromkeys(filter(None, credits))) or None
     source.close()
     return facts
 

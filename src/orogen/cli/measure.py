@@ -22,6 +22,8 @@ from orogen.cli.console import Report
 from orogen.errors import OrogenError
 
 LARGE = "taiwan_20m_10481x19401_int16.tif"
+FAST = ("udlod", "raycast", "hybrid")
+"""Algorithms whose passes are timed on all crops."""
 SIZE = (1920, 1080)
 MB = 1e6
 
@@ -122,7 +124,10 @@ def record(folder: Path, report: Report) -> list[Figure]:
 
 
 def passes(folder: Path, report: Report) -> list[Figure]:
-    """Milliseconds of the GPU's passes on real crops, from the standard cameras, all that is wanted being resident."""
+    """Milliseconds of the GPU's passes, from every second standard camera, all that is wanted being resident.
+
+    All algorithms on the first crop; on the others those that come into question as defaults.
+    """
     from orogen.compare.cameras import standard_cameras
     from orogen.compare.truth import TrueSurface
     from orogen.gpu import open_gpu
@@ -137,11 +142,12 @@ def passes(folder: Path, report: Report) -> list[Figure]:
     usual: list[tuple[str, dict[str, float]]] = [(name, {}) for name in algorithms()]
     fine = [("udlod", {"pixels_per_quad": 1.0})]
     figures = []
-    for title, heights, spacing in _crops(folder):
+    for number, (title, heights, spacing) in enumerate(_crops(folder)):
         cameras = list(standard_cameras(open_height(heights, spacing=spacing).grid, TrueSurface(heights)).values())
+        chosen = usual if number == 0 else [entry for entry in usual if entry[0] in FAST]
         for path in paths:
             with open_terrain(heights, spacing=spacing, rasterizer=path, gpu_memory=None) as terrain:
-                work = [(SIZE, *entry) for entry in fine + usual]
+                work = [(SIZE, *entry) for entry in fine + chosen]
                 if not slow and path == "compute":
                     work += [((3840, 2160), *entry) for entry in [*fine, ("raycast", {})]]
                 for done, (size, name, settings) in enumerate(work):
@@ -149,7 +155,7 @@ def passes(folder: Path, report: Report) -> list[Figure]:
                     terrain.use(name, **settings)
                     given = "".join(f" {key}={value:g}" for key, value in settings.items())
                     group = f"{name}{given}, {title} {size[0]}x{size[1]}, {path}, {adapter}"
-                    figures += _timings(group, terrain, cameras[:2] if slow else cameras, size, 1 if slow else 5)
+                    figures += _timings(group, terrain, cameras[:2] if slow else cameras[::2], size, 1 if slow else 3)
     return figures
 
 
@@ -247,6 +253,27 @@ def rays(folder: Path, report: Report) -> list[Figure]:
     return figures
 
 
+def queries(folder: Path, report: Report) -> list[Figure]:
+    """Questions to the surface, on the CPU."""
+    from orogen.cli.measure_queries import measure
+
+    return measure(_crops(folder), report)
+
+
+def large(folder: Path, report: Report) -> list[Figure]:
+    """The first picture of a 10 GB file with overviews, of which nothing has been prepared."""
+    from orogen.cli import measure_large
+
+    return measure_large.large(report)
+
+
+def endless(folder: Path, report: Report) -> list[Figure]:
+    """What a frame costs over 2^22 x 2^22 samples, and over Taiwan."""
+    from orogen.cli import measure_large
+
+    return measure_large.endless(folder, report)
+
+
 MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "speed": speed,
     "pyramid": pyramid,
@@ -254,6 +281,9 @@ MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "passes": passes,
     "accuracy": accuracy,
     "rays": rays,
+    "queries": queries,
+    "large": large,
+    "endless": endless,
 }
 """What can be measured, by name."""
 

@@ -70,7 +70,26 @@ class DataOptions:
     vertical_units: str | None = None
     """Unit of stored heights, such as metre or foot; replaces what the file says."""
     crs: str | None = None
-    """CRS of data that names none, such as EPSG:32611."""
+    """CRS of data that names none, such as EPSG:32611; data of another one is warped to it."""
+    encoding: str | None = None
+    """How colours hold heights, terrain-rgb or terrarium, where that is not recognised."""
+    zoom: int | None = None
+    """Zoom of map tiles. [default: the finest in the folder]"""
+    area: Annotated[tuple[float, float, float, float] | None, word(numbers(4), "W,S,E,N")] = None
+    """West, south, east, north in degrees of the part to take of map tiles."""
+
+
+@Parameter(name="*", group=DATA)
+@dataclass(frozen=True)
+class DrapedOptions(DataOptions):
+    """How the data is read, and what is laid over it."""
+
+    color_ramp: str | None = None
+    """Ramp, or file of one (.cpt, .qml, .txt), that colours the values of --color, a raster of one band then."""
+    overlay: Annotated[list[str] | None, Parameter(name="--vector", negative="", metavar="FILE[,KEY=VALUE...]")] = None
+    """Vector file drawn on the ground; repeat for several. Keys: layer, color, width (metres), fill_opacity."""
+    attribution: str | None = None
+    """Who is to be named where the terrain is shown. [default: as the data say]"""
 
 
 @Parameter(name="*", group=CAMERA)
@@ -111,9 +130,9 @@ class StyleOptions:
     """What the picture looks like; by default the draped image if there is one, else colours by height."""
 
     ramp: str | None = None
-    """Colour the ground by height with this ramp, even where there is an image."""
+    """Colour the ground by height with this ramp or file of one (.cpt, .qml, .txt), even where there is an image."""
     range: Annotated[Pair | None, word(numbers(2), "LOW,HIGH")] = None
-    """Heights in metres of the ramp's ends. [default: those of the data]"""
+    """Heights in metres of the ramp's ends. [default: those of its file, else of the data]"""
     plain: Flag = False
     """One grey for all of the ground."""
     sun: Annotated[Pair | None, word(numbers(2), "AZ,EL")] = None
@@ -172,6 +191,13 @@ class DrawingOptions:
     def settings(self) -> dict[str, str]:
         """The settings by name."""
         return settings_of(self.set)
+
+
+def one_or_all(data: tuple[str, ...]) -> str | list[str]:
+    """What the words of DATA name: a raster, or several that make a mosaic."""
+    if not data:
+        raise SettingsError("expected a raster (a path, URL or GDAL name), got none")
+    return data[0] if len(data) == 1 else list(data)
 
 
 def settings_of(items: Sequence[str] | None) -> dict[str, str]:

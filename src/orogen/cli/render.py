@@ -12,19 +12,18 @@ from cyclopts import Parameter
 from orogen.cli import console
 from orogen.cli.options import (
     CameraOptions,
-    DataOptions,
+    DrapedOptions,
     DrawingOptions,
     Flag,
     SceneOptions,
     Size,
     StyleOptions,
+    one_or_all,
 )
 
 
 def render(
-    data: str,
-    /,
-    *,
+    *data: str,
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
     depth: Path | None = None,
     position: Path | None = None,
@@ -37,14 +36,15 @@ def render(
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     drawing: DrawingOptions | None = None,
-    options: DataOptions | None = None,
+    options: DrapedOptions | None = None,
 ) -> None:
     """Draw a picture.
 
     Parameters
     ----------
     data
-        Raster: a path, URL or GDAL name, or "synthetic".
+        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
+        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     output
         Picture to write (.png).
     depth
@@ -76,8 +76,8 @@ def render(
     look = (style or StyleOptions()).style()
     before = scene_of(scene)
     start = time.perf_counter()
-    build: Literal["wait", "never"] = "never" if coarse else "wait"
-    with console.progress() as report, open_terrain(data, options, drawing, report, build) as terrain:
+    build: Literal["auto", "never"] = "never" if coarse else "auto"
+    with console.progress() as report, open_terrain(one_or_all(data), options, drawing, report, build) as terrain:
         eye = place_camera(terrain, camera, before, size)
         picture = terrain.render(eye, size, look, before, samples=samples)
         image.write_color(output, picture.color, overwrite)

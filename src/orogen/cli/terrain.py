@@ -8,7 +8,7 @@ from typing import Literal
 
 from orogen.camera import Camera
 from orogen.cli.console import Report
-from orogen.cli.options import CameraOptions, DataOptions, DrawingOptions, SceneOptions
+from orogen.cli.options import CameraOptions, DrapedOptions, DrawingOptions, SceneOptions
 from orogen.errors import SettingsError
 from orogen.terrain import Terrain
 from orogen.terrain import open_terrain as open_any
@@ -19,17 +19,17 @@ log = logging.getLogger("orogen")
 
 
 def open_terrain(
-    data: str,
-    options: DataOptions | None,
+    data: str | list[str],
+    options: DrapedOptions | None,
     drawing: DrawingOptions | None,
     report: Report,
-    build: Literal["wait", "background", "never"] = "wait",
+    build: Literal["auto", "background", "never"] = "auto",
 ) -> Terrain:
     """The terrain that the options describe; to be used in a `with` block."""
     drawing = drawing or DrawingOptions()
     return open_any(
         data,
-        **asdict(options or DataOptions()),
+        **asdict(options or DrapedOptions()),
         algorithm=drawing.algorithm,
         settings=drawing.settings(),
         adapter=drawing.adapter,

@@ -2,44 +2,61 @@
 
 from __future__ import annotations
 
-from orogen.cli.options import CameraOptions, DataOptions, DrawingOptions, SceneOptions, Size, StyleOptions
+from orogen.cli.options import (
+    CameraOptions,
+    DrapedOptions,
+    DrawingOptions,
+    Flag,
+    SceneOptions,
+    Size,
+    StyleOptions,
+    one_or_all,
+)
 
 
 def view(
-    data: str,
-    /,
-    *,
+    *data: str,
     size: Size = (1280, 720),
+    no_panel: Flag = False,
     camera: CameraOptions | None = None,
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     drawing: DrawingOptions | None = None,
-    options: DataOptions | None = None,
+    options: DrapedOptions | None = None,
 ) -> None:
     """Open a window to move through the terrain.
 
-    Drag to pan, with the right button to turn, wheel to zoom, double click to go there, Tab to fly with W A S D Q E,
-    N for north, Home for the start.
+    Drag to pan, with the right button to turn, wheel to zoom, double click to go there, Tab to fly and to walk with
+    W A S D Q E, N for north, Home for the start, P for the panel, M for a map, F to freeze the level of detail.
 
     Parameters
     ----------
     data
-        Raster: a path, URL or GDAL name, or "synthetic".
+        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
+        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     size
         Width and height of the window in logical pixels.
+    no_panel
+        Show the terrain alone.
     """
     from orogen.cli.terrain import open_terrain, place_camera, scene_of
-    from orogen.view.controls import Ground
+    from orogen.terrain import Terrain
+    from orogen.view.session import Session
     from orogen.view.window import Window
 
     look, before = (style or StyleOptions()).style(), scene_of(scene)
-    with open_terrain(data, options, drawing, lambda part, text: None, "background") as terrain:
-        window = Window(
-            terrain.device,
-            lambda target, eye, pixels: terrain.draw_to(target, eye, pixels, look, before),
-            place_camera(terrain, camera, before, size),
-            Ground(terrain.grid, terrain.height_at, terrain.pick, before.exaggeration),
-            size=size,
-            title=f"{data} - orogen",
-        )
-        window.run()
+
+    def opener(text: str) -> Terrain:
+        return open_terrain(text, None, drawing, lambda part, text: None, "background")
+
+    with open_terrain(one_or_all(data), options, drawing, lambda part, text: None, "background") as terrain:
+        session = Session(
+            terrain, look, before,
+            camera=place_camera(terrain, camera, before, size),
+            opener=opener,
+        )  # fmt: skip
+        window = Window(session, size=size, title=f"{terrain.name} - orogen", panel=not no_panel)
+        try:
+            window.run()
+        finally:
+            window.close()

@@ -19,9 +19,11 @@ from orogen.compare.plan import Entry, Plan, plain
 from orogen.compare.record import FORMAT, Record
 from orogen.compare.reference import References, style_of
 from orogen.compare.scenery import Progress, Scenery
+from orogen.compare.spread import Collected, chunks, measure, packed, packed_entry
 from orogen.compare.temporal import REACH, History
 from orogen.compare.triangle_quality import TriangleMeter
 from orogen.compare.truth import TrueSurface
+from orogen.pyramid.workers import hired
 from orogen.view.flight import Flight
 from orogen.view.renderer import Picture, Renderer
 
@@ -29,11 +31,18 @@ NEEDS_TRUTH = {"surface", "stability"}
 """Metrics that read the true surface."""
 
 
-def run(plan: Plan, folder: str | Path, progress: Progress | None = None, force: bool = False) -> Path:
+def run(
+    plan: Plan,
+    folder: str | Path,
+    progress: Progress | None = None,
+    force: bool = False,
+    scheduler: str | None = None,
+) -> Path:
     """Run a comparison, or go on with an interrupted one, and write its report; gives the report's path.
 
     `folder`: where results go; a comparison of the same plan in it is resumed, another one only replaced with `force`.
-    `progress`: called with the part done (0 to 1) and what is done.
+    `progress`: called with the part done (0 to 1) and what is done. `scheduler`: address of a Dask scheduler whose
+    workers measure the frames; times are then those of the workers' machines.
 
     Raises SettingsError for a plan that cannot be carried out, SourceError for the data, OutputError for the folder.
     """
@@ -53,10 +62,7 @@ def run(plan: Plan, folder: str | Path, progress: Progress | None = None, force:
         # at once, before the data is read
         Record.check(folder, asked)
     with Scenery(plan, report) as scenery:
-        path = flight.over(
-            scenery.grid, scenery.heights.height_range, exaggeration=plan.exaggeration, height_at=scenery.height_at
-        )
-        reel = Reel(path, plan.fps)
+        reel = _reel(flight, plan, scenery)
         reel.check(plan.size, scenery.heights.height_range, scenery.height_at, plan.exaggeration, plan.curvature)
         numbers = reel.numbers(plan.frames, plan.every)
         shots = [reel.shot(number) for number in numbers]
@@ -70,8 +76,35 @@ def run(plan: Plan, folder: str | Path, progress: Progress | None = None, force:
             Entry(kept["algorithm"], kept["settings"], kept["label"], (kept["sweep"] or {}).get("setting"))
             for kept in document["entries"]
         ]
-        _Run(plan, scenery, reel, shots, record, document["pictures"], chosen, report).run(entries)
+        job = _Run(plan, scenery, reel, shots, record, document["pictures"], chosen, report)
+        if scheduler is None:
+            job.run(entries)
+        else:
+            job.spread(entries, scheduler)
     return reports.write(folder)
+
+
+def measure_frames(
+    plan: Plan, entry: Entry, numbers: Sequence[int], kept: Sequence[int], chosen: frozenset[str]
+) -> Collected:
+    """Measure some frames of one entry, and hand back what `run` would write down of them."""
+    found = Collected()
+
+    def silent(part: float, text: str) -> None:
+        """Nobody is there to read it."""
+
+    with Scenery(plan, silent) as scenery:
+        reel = _reel(Flight.load(plan.flight), plan, scenery)
+        shots = [reel.shot(number) for number in numbers]
+        _Run(plan, scenery, reel, shots, found, kept, chosen, silent).run([entry])
+    return found
+
+
+def _reel(flight: Flight, plan: Plan, scenery: Scenery) -> Reel:
+    path = flight.over(
+        scenery.grid, scenery.heights.height_range, exaggeration=plan.exaggeration, height_at=scenery.height_at
+    )
+    return Reel(path, plan.fps)
 
 
 def _document(plan: Plan, scenery: Scenery, reel: Reel, numbers: list[int], request: Any) -> dict[str, Any]:
@@ -143,7 +176,7 @@ class _Run:
         scenery: Scenery,
         reel: Reel,
         shots: Sequence[Shot],
-        record: Record,
+        record: Record | Collected,
         kept: Sequence[int],
         chosen: frozenset[str],
         report: Progress,
@@ -172,6 +205,24 @@ class _Run:
                     self._measure(entry, shots, references)
                     # an algorithm may refer to itself; its memory must be free before that of the next is counted
                     gc.collect()
+
+    def spread(self, entries: Sequence[Entry], scheduler: str) -> None:
+        """The same on the workers of a cluster."""
+        tasks: list[tuple[Any, ...]] = []
+        for entry in entries:
+            done = frozenset(self._record.finished(entry.folder))
+            missing = [shot.number for shot in self._shots if shot.number not in done]
+            tasks += [
+                (packed(self._plan), packed_entry(entry), part, sorted(self._kept), self._chosen)
+                for part in chunks(missing)
+            ]
+        with hired(scheduler) as workers:
+            for number, found in enumerate(workers.in_order(measure, tasks), start=1):
+                for picture in found.pictures:
+                    self._record.picture(*picture)
+                for name, line in found.lines:
+                    self._record.add(name, line)
+                self._report(number / len(tasks), "comparison")
 
     def _measure(self, entry: Entry, shots: Sequence[Shot], references: References) -> None:
         renderer = self._scenery.renderer(entry)

@@ -22,6 +22,7 @@ from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.open import open_pyramid
 from orogen.queries import Queries
 from orogen.source.open import open_colour, open_height
+from orogen.source.stored import draped
 from orogen.streaming.requests import LayerGrid
 from orogen.streaming.settings import ClipmapSettings
 from orogen.view.renderer import Renderer, Scene
@@ -40,7 +41,7 @@ class Scenery(AbstractContextManager["Scenery"]):
         """Raises SourceError, or SettingsError for a crop outside the data."""
         self.plan = plan
         options = dict(plan.options)
-        color, extent = options.pop("color", None), options.pop("color_extent", "pixels")
+        color, extent = draped(plan.data, options.pop("color", None)), options.pop("color_extent", "pixels")
         source = open_height(plan.data, **options)
         cut = source if plan.crop is None else Crop(source, plan.crop)
         self._closing: list[Callable[[], None]] = []

@@ -6,11 +6,14 @@ from types import TracebackType
 
 import wgpu
 
-from orogen.errors import GpuError
+from orogen.errors import DeviceLostError, GpuError
 
 
 class checked:
-    """Turn a wgpu error in the block into a `GpuError` that starts with the label."""
+    """Turn a wgpu error in the block into a `GpuError` that starts with the label.
+
+    Where the device is gone that is a `DeviceLostError`, whatever kind was asked for.
+    """
 
     __slots__ = ("_kind", "_label")
 
@@ -23,13 +26,19 @@ class checked:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         if isinstance(error, wgpu.GPUError):
-            raise self._kind(f"{self._label}: {explain(error)}") from error
+            kind = DeviceLostError if lost(error) else self._kind
+            raise kind(f"{self._label}: {explain(error)}") from error
+
+
+def lost(error: BaseException) -> bool:
+    """Whether a wgpu error says that the device is gone: it has no other sign of that."""
+    return "Parent device is lost" in str(error)
 
 
 def explain(error: Exception) -> str:
     """The part of a driver message that a reader needs."""
     text = str(error)
-    if "Parent device is lost" in text:
+    if lost(error):
         return "the GPU device was lost (driver reset, memory exhausted or device removed); open it again"
     lines = [line for line in text.splitlines() if line.strip() not in ("", "Validation Error", "Caused by:")]
     return "\n".join(line.strip() for line in lines if not line.lstrip().startswith("In wgpu")) or text

@@ -87,6 +87,11 @@ class Gpu:
             resource.destroy()
         self.device.destroy()
 
+    def check(self) -> None:
+        """Raise DeviceLostError where the device is gone; what was made on it is of no use then."""
+        with checked(f"{self.info}"):
+            self.device.create_sampler(label="check")
+
     # -- memory ------------------------------------------------------------------------------------------------------
 
     def buffer(self, label: str, size_or_data: int | ArrayLike | bytes, usage: str, category: str) -> Buffer:
@@ -334,7 +339,9 @@ class Gpu:
                 f"buffer {buffer.label!r}: expected a multiple of {kind.itemsize} bytes for {kind}, got {size}"
             )
         staging = self._staging.take(size)
-        readback = Readback(buffer.label, self._staging, staging, lambda mapped: mapped[:size].view(kind).copy())
+        readback = Readback(
+            buffer.label, self._staging, staging, lambda mapped: mapped[:size].view(kind).copy(), self.check
+        )
         with checked(f"buffer {buffer.label!r}"), self._commands(encoder, readback) as commands:
             commands.copy_buffer_to_buffer(buffer.raw, offset, staging.raw, 0, size)
         return readback
@@ -366,7 +373,7 @@ class Gpu:
             packed = mapped[: pitch * rows].reshape(rows, pitch)[:, :row_bytes].copy()
             return packed.view(form.dtype).reshape(form.shape(width, height))
 
-        readback = Readback(texture.label, self._staging, staging, unpack)
+        readback = Readback(texture.label, self._staging, staging, unpack, self.check)
         with checked(f"texture {texture.label!r}"), self._commands(encoder, readback) as commands:
             commands.copy_texture_to_buffer(
                 {"texture": texture.raw, "mip_level": mip, "origin": (*origin, layer)},

@@ -16,6 +16,8 @@ from orogen.gpu.resources import Buffer
 ROW_ALIGNMENT = 256
 """Bytes that the rows of a texture copy are aligned to (WebGPU)."""
 
+_PATIENCE = 1.0
+"""Seconds between looks at whether the device that is waited for is still there."""
 _STEP = 1 << 16
 _IDLE_LIMIT = 32 << 20
 
@@ -58,10 +60,19 @@ class Readback:
     """A copy on its way from the GPU, from the moment its commands are submitted."""
 
     def __init__(
-        self, label: str, pool: StagingPool, staging: Buffer, unpack: Callable[[NDArray[np.uint8]], NDArray[Any]]
+        self,
+        label: str,
+        pool: StagingPool,
+        staging: Buffer,
+        unpack: Callable[[NDArray[np.uint8]], NDArray[Any]],
+        check: Callable[[], None],
     ) -> None:
-        """`unpack`: makes the result, in memory of its own, from the mapped bytes of `staging`."""
+        """`unpack`: makes the result, in memory of its own, from the mapped bytes of `staging`.
+
+        `check`: raises DeviceLostError where the device is gone.
+        """
         self._label = label
+        self._check = check
         self._pool = pool
         self._staging: Buffer | None = staging
         self._unpack = unpack
@@ -82,11 +93,17 @@ class Readback:
         return self._mapping is not None and self._mapping._thread_event.is_set()
 
     def result(self) -> NDArray[Any]:
-        """The data; waits for the GPU where it is not ready. The same array each time."""
+        """The data; waits for the GPU where it is not ready. The same array each time.
+
+        Raises DeviceLostError where it will never come.
+        """
         with self._lock:
             if self._data is None:
                 if self._mapping is None or self._staging is None:
                     raise GpuError(f"reading {self._label!r}: expected its encoder to be submitted before its result")
+                # what was asked of a device that is lost meanwhile may never be answered
+                while not self._mapping._thread_event.wait(_PATIENCE):
+                    self._check()
                 with checked(self._label):
                     self._mapping.sync_wait()
                     mapped = np.frombuffer(self._staging.raw.read_mapped(copy=False), np.uint8)

@@ -7,6 +7,7 @@ from typing import Any
 
 import wgpu
 
+from orogen.gpu.checked import checked
 from orogen.gpu.formats import Format, format_of, mip_size
 from orogen.gpu.memory import MemoryAccount
 
@@ -85,7 +86,8 @@ class Texture:
         """
         key = tuple(sorted(choice.items()))
         if key not in self._views:
-            self._views[key] = self.raw.create_view(label=self.label, **choice)
+            with checked(f"texture {self.label!r}"):
+                self._views[key] = self.raw.create_view(label=self.label, **choice)
         return self._views[key]
 
     def destroy(self) -> None:

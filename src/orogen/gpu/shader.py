@@ -8,8 +8,8 @@ from typing import Any
 
 import wgpu
 
-from orogen.errors import ShaderError
-from orogen.gpu.checked import checked, explain
+from orogen.errors import DeviceLostError, ShaderError
+from orogen.gpu.checked import checked, explain, lost
 from orogen.gpu.wgsl import Composed
 
 _PLACE = re.compile(r"┌─ .*?:(\d+):\d+\s*$", re.MULTILINE)
@@ -54,6 +54,8 @@ def compile_shader(device: Any, label: str, source: Composed) -> Shader:
     try:
         return Shader(label, device.create_shader_module(label=label, code=source.text), source)
     except wgpu.GPUError as error:
+        if lost(error):
+            raise DeviceLostError(f"{label}: {explain(error)}") from error
         raise ShaderError(_located(label, source, str(error))) from error
 
 

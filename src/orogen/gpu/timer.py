@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orogen.gpu.checked import checked
 from orogen.gpu.readback import Readback
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ class FrameTimer:
         self._under_way: deque[tuple[list[str], Readback]] = deque(maxlen=_IN_FLIGHT)
         self._latest: dict[str, float] = {}
         if self._on:
-            self._queries = gpu.device.create_query_set(label="timer", type="timestamp", count=2 * _PASSES)
+            with checked("timer"):
+                self._queries = gpu.device.create_query_set(label="timer", type="timestamp", count=2 * _PASSES)
             self._ticks = gpu.buffer("timer", 16 * _PASSES, "QUERY_RESOLVE|COPY_SRC", "timer")
             self._period = _tick_nanoseconds(gpu)
 

@@ -107,6 +107,10 @@ class Pages(Protocol):
     def pending(self) -> int:
         """Wanted pages that are still to come."""
 
+    @property
+    def retry_in(self) -> float | None:
+        """Seconds until a page that failed is made again; None where none has failed."""
+
     def pump(self, budget: int) -> int:
         """Upload loaded pages of at most `budget` bytes (one at least); returns the bytes uploaded."""
 

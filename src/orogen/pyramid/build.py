@@ -2,60 +2,43 @@
 
 from __future__ import annotations
 
-import os
+import math
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orogen.errors import OrogenError
 from orogen.keys import NODE_SIZE, level_count, level_shape
-from orogen.pyramid.reduce import F32, colour_means
-from orogen.pyramid.region import BAND, Edges, HeightRegion, Strips, seam_errors
+from orogen.pyramid.journal import Journal
+from orogen.pyramid.reduce import F32
+from orogen.pyramid.region import Strips
+from orogen.pyramid.regions import LEVELS, REGION, Region, regions
+from orogen.pyramid.seams import Errors, put_inside, sew_above, sew_beside
 from orogen.pyramid.store import Store
+from orogen.pyramid.task import READ_ROWS, Cancelled, Job, Part, Recipe, make_region, node_facts, settle, write_level_0
+from orogen.pyramid.workers import Workers, hired, threads
 from orogen.source.contract import Source
+from orogen.source.rounding import Rounding
 
-REGION = 2048
-"""Rows and columns of a region in its finest level: its means are whole shards of the next levels."""
-LEVELS = 3
-"""Levels made from one reading of a region."""
-READ_ROWS = 512
-"""Rows read at once."""
-LEAST = 1 << LEVELS
-"""Regions of no more rows or columns than this join the one before, so that every level has two of them."""
+__all__ = ["Builder", "Cancelled", "Estimate", "threads"]
+
+SAMPLED = 3
+"""Regions, at least, that an estimate is made from."""
 
 Progress = Callable[[float], None]
 
 
-class Cancelled(OrogenError):
-    """The build was told to stop."""
-
-
 @dataclass(frozen=True)
-class Region:
-    """A part of a level, in its rows and columns."""
+class Estimate:
+    """What is left of a build, extrapolated from the regions that are done."""
 
-    rows: slice
-    cols: slice
-    edges: Edges
-
-    def at(self, steps: int) -> Region:
-        """The same part of the level `steps` coarser."""
-
-        def halved(part: slice) -> slice:
-            return slice(part.start >> steps, -(-part.stop >> steps))
-
-        return Region(halved(self.rows), halved(self.cols), self.edges)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
-        return self.rows.stop - self.rows.start, self.cols.stop - self.cols.start
+    seconds: float
+    """Time still to go; NaN where nothing was left to measure it with."""
+    size: int
+    """Bytes of the whole pyramid."""
 
 
 @dataclass
@@ -68,199 +51,237 @@ class Builder:
     """Called with 0 to 1 from any thread."""
     stop: threading.Event = field(default_factory=threading.Event)
     """Set it to end the build with `Cancelled`."""
+    keep: bool = False
+    """Whether to store level 0 even where the source gives small windows cheaply, and what an update needs."""
+    rounding: Rounding | None = None
+    """How heights are rounded; None: not at all."""
+    recipe: Recipe | None = None
+    """How workers in other processes open the source."""
+    journal: Journal | None = None
+    """Where to note what is done, so that a killed build goes on there; None: nowhere."""
 
     def __post_init__(self) -> None:
         self.shape = self.source.grid.shape
         self.levels = level_count(self.shape)
-        self.name = self.source.kind
+        self.job = Job(
+            self.source, self.store, self.keep, self.rounding, self.recipe, tick=self._tick, stopped=self._stopped
+        )
         self._lock = threading.Lock()
+        self._failed = threading.Event()
         self._done = 0
         self._total = sum(r * c for r, c in (level_shape(self.shape, i) for i in range(0, self.levels, LEVELS)))
         self._total += 0 if self.source.direct else self.shape[0] * self.shape[1]
-        self._errors = [
-            np.zeros((-(-rows // NODE_SIZE), -(-cols // NODE_SIZE)), np.float32)
-            for rows, cols in (level_shape(self.shape, level) for level in range(self.levels))
-        ]
-        self._range = np.full((*self._errors[0].shape, 2), np.nan, np.float32)
-        self._complete = True
+        self.grids = {base: regions(level_shape(self.shape, base)) for base in self.bases}
+        """The regions of the levels that others are made from."""
 
-    def run(self) -> dict[str, Any]:
-        """Build all levels and bounds. Returns what the store's metadata says of the values."""
-        if not self.source.direct:
-            self._copy()
-        self._create()
-        for base in range(0, max(self.levels - 1, 1), LEVELS):
-            self._stage(base)
-        if self.source.kind == "colour":
-            return {"kind": "colour"}
-        self._bounds()
-        low, high = np.nanmin(self._range[..., 0]), np.nanmax(self._range[..., 1])
-        return {"kind": "height", "covered": self._complete, "minimum": float(low), "maximum": float(high)}
+    @property
+    def bases(self) -> range:
+        """The levels that others are made from."""
+        return range(0, max(self.levels - 1, 1), LEVELS)
 
-    def _copy(self) -> None:
-        """Store level 0 of a source without cheap windows, in one pass from top to bottom."""
-        rows, cols = self.shape
-        block = self.source.block[0]
-        step = NODE_SIZE * min(4, max(1, -(-block // NODE_SIZE)))
-        array = self._array(0, (step, REGION))
-        writing: list[Any] = []
+    def run(self, workers: Workers | None = None) -> dict[str, Any]:
+        """Build all levels and bounds. Returns what the store's metadata says of the values.
+
+        workers: who does it; None: threads. Raises `rounding.Overflow` where heights do not fit the rounding.
+        """
+        if workers is None:
+            with hired() as hands:
+                return self.run(hands)
         try:
-            for row in range(0, rows, step):
-                part = slice(row, min(rows, row + step))
-                strip = self.source.read(part, slice(0, cols))
-                settle(writing)
-                if self.stop.is_set():
-                    raise Cancelled("the build of the pyramid was stopped")
-                writing.append(array[part].write(strip))
-                self._tick((part.stop - part.start) * cols)
-        finally:
-            settle(writing)
+            self.create()
+            if not self.source.direct:
+                self._copy(self.shape[0])
+            nodes = np.zeros((*(-(-n // NODE_SIZE) for n in self.shape), 4), np.float32)
+            errors: dict[int, Errors] = {}
+            for base in self.bases:
+                errors |= self._stage(base, nodes, workers)
+        except BaseException:
+            self._failed.set()  # for the tasks that still run
+            raise
+        return self.conclude(nodes, errors)
 
-    def _create(self) -> None:
+    def sample(self, workers: Workers) -> Estimate:
+        """Do some regions first, spread over the raster, and extrapolate what is left. Needs a journal."""
+        assert self.journal is not None
+        self.create()
+        start = time.perf_counter()
+        before, progress = self._done, self.progress
+        # what is done here counts as progress when the build goes through it
+        self.progress = lambda fraction: None
+        if not self.source.direct:
+            self._copy(self.grids[0][0][0].rows.stop)
+            rows = self.grids[0][:1]
+        else:
+            rows = self.grids[0]
+        every = [(row, col) for row in range(len(rows)) for col in range(len(rows[0]))]
+        wanted = min(len(every), max(SAMPLED, workers.count))
+        chosen = [every[i] for i in sorted({int((n + 0.5) * len(every) / wanted) for n in range(wanted)})]
+        left = [(row, col) for row, col in chosen if not self.journal.done(_name(0, row, col))]
+        for _ in self._parts(0, left, workers):
+            pass
+        seconds, worked = time.perf_counter() - start, self._done - before
+        done = sum(
+            math.prod(region.shape)
+            for row, line in enumerate(self.grids[0])
+            for col, region in enumerate(line)
+            if self.journal.done(_name(0, row, col))
+        )
+        written = sum(path.stat().st_size for path in self.store.path.rglob("*") if path.is_file())
+        self._done, self.progress = before, progress
+        rest = max(0, self._total - done - (0 if self.source.direct else done))
+        return Estimate(
+            seconds * rest / worked if worked else float("nan"),
+            int(written * self.shape[0] * self.shape[1] / max(done, 1)),
+        )
+
+    def create(self) -> None:
+        """Create the arrays; those that are there are kept."""
+        if self.keep or not self.source.direct:
+            self._array(0, (READ_ROWS if self.source.direct else self._copied_rows, REGION))
         for level in range(1, self.levels):
             side = REGION >> ((level - 1) % LEVELS + 1)
             self._array(level, (side, side))
-            if self._keeps_coverage:
+            if self.job.keeps_coverage:
                 shape = level_shape(self.shape, level)
                 self.store.create(self.source.grid, level, "coverage", shape, "uint8", (side, side), 0)
 
-    def _array(self, level: int, shard: tuple[int, int]) -> Any:
-        shape = level_shape(self.shape, level)
-        if self.name == "height":
-            return self.store.create(self.source.grid, level, "height", shape, "float32", shard, "NaN")
-        return self.store.create(self.source.grid, level, "colour", (*shape, 4), "uint8", shard, 0)
-
-    @property
-    def _keeps_coverage(self) -> bool:
-        return self.source.kind == "height" and not self.source.covered
-
-    def _stage(self, base: int) -> None:
-        """The levels after `base`, from `base`."""
-        levels = range(base + 1, min(base + LEVELS, self.levels - 1) + 1)
-        grid = regions(level_shape(self.shape, base))
-        task = self._heights if self.source.kind == "height" else self._colours
-        above: list[list[Strips]] = []
-        with ThreadPoolExecutor(threads(), "orogen-build") as pool:
-            try:
-                for row, results in zip(grid, _in_order(pool, task, grid, base, levels), strict=True):
-                    if self.source.kind == "height":
-                        self._seams(row, results, above, levels)
-                        above = results
-            except BaseException:
-                self.stop.set()
-                raise
-
-    def _heights(self, region: Region, base: int, levels: range) -> list[Strips]:
-        """The means of a region for all `levels`, written; the strips along its seams for each of them."""
-        parts = [
-            HeightRegion(region.at(level - base - 1).shape, region.edges, not self._keeps_coverage, level)
-            for level in levels
-        ]
-        strips = []
-        for row, heights in self._bands(region, base):
-            if base == 0:
-                self._keep_range(heights, row, region.cols.start)
-            if parts:
-                coverage = self._coverage(base, heights, row, region.cols)
-                for piece in pieces(0, heights.shape[0], BAND, 4):
-                    parts[0].add(heights[piece], None if coverage is None else coverage[piece])
-            self._tick(heights.size)
-        writing: list[Any] = []
-        for i, level in enumerate(levels):
-            strips.append(parts[i].finish())
-            self._write(level, region.at(level - base), parts[i], writing)
-            if i + 1 < len(parts):
-                means, coverage = parts[i].means, parts[i].coverage
-                for piece in pieces(0, len(means), BAND, 4):
-                    parts[i + 1].add(means[piece], None if coverage is None else coverage[piece])
-        settle(writing)
-        return strips
-
-    def _write(self, level: int, region: Region, part: HeightRegion, writing: list[Any]) -> None:
-        window = region.rows, region.cols
-        writing.append(self.store.array(level, "height")[window].write(part.means))
-        if part.coverage is not None:
-            writing.append(self.store.array(level, "coverage")[window].write(part.coverage))
-        row, col = region.rows.start // NODE_SIZE, region.cols.start // NODE_SIZE
-        rows, cols = part.steps.shape
-        self._raise(level, slice(row, row + rows), slice(col, col + cols), part.steps)
-
-    def _colours(self, region: Region, base: int, levels: range) -> list[Strips]:
-        """The means of a region of colours for all `levels`, written."""
-        if not levels:
-            return []
-        bands: list[NDArray[np.uint8]] = []
-        for _, pixels in self._bands(region, base):
-            bands.extend(colour_means(pixels[piece]) for piece in pieces(0, len(pixels), BAND, 2))
-            self._tick(pixels.shape[0] * pixels.shape[1])
-        means = np.concatenate(bands)
-        for level in levels:
-            window = region.at(level - base)
-            self.store.array(level, "colour")[window.rows, window.cols].write(means).result()
-            means = colour_means(means) if level < levels[-1] else means
-        return []
-
-    def _bands(self, region: Region, base: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """(first row, samples) of a region, READ_ROWS rows at a time."""
-        for rows in pieces(region.rows.start, region.rows.stop, READ_ROWS, 4):
-            if self.stop.is_set():
-                raise Cancelled("the build of the pyramid was stopped")
-            if base == 0 and self.source.direct:
-                yield rows.start, self.source.read(rows, region.cols)
-            else:
-                yield rows.start, self.store.read(base, self.name, rows, region.cols)
-
-    def _coverage(self, base: int, heights: F32, row: int, cols: slice) -> NDArray[np.uint8] | None:
-        if not self._keeps_coverage:
-            return None
-        if base == 0:
-            return np.where(np.isnan(heights), np.uint8(0), np.uint8(255)) if np.isnan(heights.min()) else None
-        return self.store.read(base, "coverage", slice(row, row + heights.shape[0]), cols)
-
-    def _seams(self, row: list[Region], below: list[list[Strips]], above: list[list[Strips]], levels: range) -> None:
-        """Errors along the seams between the regions of a row, and between them and the row above."""
-        for i, level in enumerate(levels):
-            steps = self._errors[level]
-            first = row[0].at(i + 1).rows.start // NODE_SIZE
-            for region, left, right in zip(row[1:], below, below[1:], strict=False):
-                edges = region.edges
-                count = -(-region.at(i + 1).shape[0] // NODE_SIZE)
-                errors = seam_errors(left[i].right.T, right[i].left.T, count, edges.top, edges.bottom, level)
-                col = region.at(i + 1).cols.start // NODE_SIZE
-                self._raise(level, slice(first, first + count), slice(col - 1, col + 1), errors[:, None])
-            if above:
-                upper = np.concatenate([strips[i].bottom for strips in above], axis=1)
-                lower = np.concatenate([strips[i].top for strips in below], axis=1)
-                errors = seam_errors(upper, lower, steps.shape[1], True, True, level)
-                self._raise(level, slice(first - 1, first + 1), slice(None), errors)
-
-    def _raise(self, level: int, rows: slice, cols: slice, errors: F32) -> None:
-        with self._lock:
-            part = self._errors[level][rows, cols]
-            np.fmax(part, errors, out=part)
-
-    def _keep_range(self, heights: F32, row: int, col: int) -> None:
-        """Minimum and maximum of the level-0 nodes in a band."""
-        for r in range(0, heights.shape[0], NODE_SIZE):
-            band = heights[r : r + NODE_SIZE]
-            low, high = band.min(axis=0), band.max(axis=0)
-            starts = np.arange(0, band.shape[1], NODE_SIZE)
-            if np.isnan(low.min()):
-                self._complete = False
-                low, high = np.fmin.reduce(band), np.fmax.reduce(band)
-            y, x = (row + r) // NODE_SIZE, col // NODE_SIZE
-            self._range[y, x : x + len(starts), 0] = np.fmin.reduceat(low, starts)
-            self._range[y, x : x + len(starts), 1] = np.fmax.reduceat(high, starts)
-
-    def _bounds(self) -> None:
-        """Store the bounds of the nodes of all levels."""
-        low, high = self._range[..., 0], self._range[..., 1]
-        error = self._errors[0]
+    def conclude(self, nodes: F32, errors: dict[int, Errors]) -> dict[str, Any]:
+        """Store the bounds of the nodes of all levels; returns what the store's metadata says of the values."""
+        if self.source.kind == "colour":
+            return {"kind": "colour"}
+        low, high = nodes[..., 0], nodes[..., 1]
+        error = np.zeros(low.shape, np.float32)
         for level in range(self.levels):
             if level:
+                base = (level - 1) // LEVELS * LEVELS
                 low, high = _parents(low, np.fmin), _parents(high, np.fmax)
-                error = _parents(error, np.fmax) + self._errors[level]
+                error = _parents(error, np.fmax) + errors[level].total(self.grids[base], level - base)
+                if self.rounding is not None:  # the means that were compared have been rounded since
+                    error += np.float32(self.rounding.step / 2)
             self.store.write_bounds(level, np.stack([low, high, error], axis=-1))
+        if self.keep:
+            fields = {"fields": ["minimum", "maximum", "valid", "rounded_by"], "units": "m"}
+            self.store.write_table(0, "nodes", nodes, ["node_y", "node_x", "fact"], fields)
+            for level, found in errors.items():
+                found.save(self.store, level)
+        facts = {
+            "kind": "height",
+            "covered": bool(nodes[..., 2].all()),
+            "minimum": float(np.nanmin(nodes[..., 0])),
+            "maximum": float(np.nanmax(nodes[..., 1])),
+        }
+        return facts if self.rounding is None else {**facts, "rounded_by": float(nodes[..., 3].max())}
+
+    @property
+    def _copied_rows(self) -> int:
+        """Rows of the strips in which level 0 is copied."""
+        return next(NODE_SIZE * n for n in (1, 2, 4) if n == 4 or NODE_SIZE * n >= self.source.block[0])
+
+    def copy(self, rows: slice, cols: slice) -> F32:
+        """Store a window of level 0; gives the facts of its nodes, nothing of colours."""
+        samples = self.source.read(rows, cols)
+        self.job.check()
+        writing: list[Any] = []
+        kept = write_level_0(self.job, rows, cols, samples, writing)
+        settle(writing)
+        if self.source.kind == "colour":
+            return np.zeros((0, 0, 4), np.float32)
+        return node_facts(kept, np.asarray(samples, np.float32))
+
+    def _copy(self, stop: int) -> None:
+        """Store level 0 of a source without cheap windows, in one pass from top to bottom, up to row `stop`."""
+        rows, cols = self.shape
+        for row in range(0, stop, self._copied_rows):
+            part = slice(row, min(rows, row + self._copied_rows))
+            if self.journal is None:
+                self.copy(part, slice(0, cols))
+            elif not self.journal.done(f"copy-{row}"):
+                self.journal.save(f"copy-{row}", Part([], [], self.copy(part, slice(0, cols))))
+            self._tick((part.stop - part.start) * cols)
+
+    def _array(self, level: int, shard: tuple[int, int]) -> None:
+        shape = level_shape(self.shape, level)
+        if self.source.kind == "height":
+            self.store.create(self.source.grid, level, "height", shape, "float32", shard, "NaN", self.rounding)
+        else:
+            self.store.create(self.source.grid, level, "colour", (*shape, 4), "uint8", shard, 0)
+
+    def _stage(self, base: int, nodes: F32, workers: Workers) -> dict[int, Errors]:
+        """Make the levels after `base`; fills `nodes` from the first stage."""
+        grid, levels = self.grids[base], self.job.levels(base)
+        heights = self.source.kind == "height"
+        errors = {level: Errors.none(self.shape, level, grid) for level in levels}
+        every = [(row, col) for row in range(len(grid)) for col in range(len(grid[0]))]
+        above: list[F32] = []
+        tops: list[list[F32]] = [[] for _ in levels]
+        bottoms: list[list[F32]] = [[] for _ in levels]
+        before: list[Strips] = []
+        for (row, col), part in zip(every, self._parts(base, every, workers), strict=True):
+            region = grid[row][col]
+            if not heights:
+                continue
+            self.put(base, region, part, nodes, errors)
+            for i, level in enumerate(levels):
+                if col:
+                    sew_beside(errors[level], region, col, before[i].right, part.strips[i].left, level, i + 1)
+                tops[i].append(part.strips[i].top)
+                bottoms[i].append(part.strips[i].bottom)
+            before = part.strips
+            if col == len(grid[0]) - 1:
+                for i, level in enumerate(levels if row else ()):
+                    sew_above(errors[level], row, above[i], np.concatenate(tops[i], axis=1), level)
+                above = [np.concatenate(parts, axis=1) for parts in bottoms]
+                tops, bottoms = [[] for _ in levels], [[] for _ in levels]
+        if base == 0 and heights and self.journal is not None and not self.source.direct:
+            self._recall_rounding(nodes)
+        return errors
+
+    def put(self, base: int, region: Region, part: Part, nodes: F32, errors: dict[int, Errors]) -> None:
+        """Note what a task has handed back, but for the seams of its region."""
+        if part.nodes is not None:
+            top, left = region.rows.start // NODE_SIZE, region.cols.start // NODE_SIZE
+            nodes[top : top + part.nodes.shape[0], left : left + part.nodes.shape[1]] = part.nodes
+        for i, level in enumerate(self.job.levels(base)):
+            put_inside(errors[level], region, i + 1, part.steps[i])
+
+    def _recall_rounding(self, nodes: F32) -> None:
+        """How far level 0 was rounded where it was copied: the regions have only seen the rounded heights."""
+        assert self.journal is not None
+        for row in range(0, self.shape[0], self._copied_rows):
+            part = self.journal.load(f"copy-{row}")
+            if part is not None and part.nodes is not None:
+                nodes[row // NODE_SIZE :][: len(part.nodes), :, 3] = part.nodes[..., 3]
+
+    def _parts(self, base: int, places: list[tuple[int, int]], workers: Workers) -> Iterator[Part]:
+        """What the tasks of some regions hand back, in order: from the journal where they are done."""
+        noted = {place for place in places if self.journal is not None and self.journal.done(_name(base, *place))}
+        made = self._made(base, [place for place in places if place not in noted], workers)
+        for place in places:
+            if place not in noted:
+                yield next(made)
+                continue
+            assert self.journal is not None
+            part = self.journal.load(_name(base, *place))
+            if part is None:  # a note that cannot be read
+                yield next(self._made(base, [place], workers))
+            else:
+                self._tick(math.prod(self.grids[base][place[0]][place[1]].shape))
+                yield part
+
+    def _made(self, base: int, places: list[tuple[int, int]], workers: Workers) -> Iterator[Part]:
+        """What the tasks of some regions hand back, in order; noted in the journal."""
+        grid = self.grids[base]
+        arguments: Iterable[tuple[Any, ...]] = ((self.job, grid[row][col], base) for row, col in places)
+        for (row, col), part in zip(places, workers.in_order(make_region, arguments), strict=True):
+            if self.journal is not None:
+                self.journal.save(_name(base, row, col), part)
+            if workers.remote:
+                self.job.check()
+                self._tick(math.prod(grid[row][col].shape))
+            yield part
+
+    def _stopped(self) -> bool:
+        return self.stop.is_set() or self._failed.is_set()
 
     def _tick(self, samples: int) -> None:
         with self._lock:
@@ -269,54 +290,9 @@ class Builder:
         self.progress(fraction)
 
 
-def settle(writing: list[Any]) -> None:
-    """Wait for all writes, then raise what one raised: nothing may be written after a failed build is removed."""
-    failures = [error for error in (write.exception() for write in writing) if error is not None]
-    writing.clear()
-    if failures:
-        raise failures[0]
-
-
-def threads() -> int:
-    """Threads that build: one for each processor core, 2 to 8."""
-    return min(8, max(2, os.cpu_count() or 2))
-
-
-def pieces(start: int, stop: int, step: int, least: int) -> list[slice]:
-    """start to stop in steps; a last piece of fewer than `least` joins the one before."""
-    starts = list(range(start, stop, step))
-    if len(starts) > 1 and stop - starts[-1] < least:
-        starts.pop()
-    return [slice(a, b) for a, b in zip(starts, [*starts[1:], stop], strict=True)]
-
-
-def regions(shape: tuple[int, int]) -> list[list[Region]]:
-    """Rows of regions that cover a level of `shape`; no two share a shard of a coarser level."""
-    rows = pieces(0, shape[0], REGION, LEAST + 1)
-    cols = pieces(0, shape[1], REGION, LEAST + 1)
-    return [
-        [Region(r, c, Edges(r.start == 0, r.stop == shape[0], c.start == 0, c.stop == shape[1])) for c in cols]
-        for r in rows
-    ]
-
-
-def _in_order(
-    pool: ThreadPoolExecutor,
-    task: Callable[[Region, int, range], list[Strips]],
-    grid: list[list[Region]],
-    base: int,
-    levels: range,
-) -> Iterator[list[list[Strips]]]:
-    """The results of each row of regions; only a few tasks wait in the pool."""
-    waiting: deque[Future[list[Strips]]] = deque()
-    queue = deque(region for row in grid for region in row)
-    for row in grid:
-        results = []
-        for _ in row:
-            while queue and len(waiting) <= threads():
-                waiting.append(pool.submit(task, queue.popleft(), base, levels))
-            results.append(waiting.popleft().result())
-        yield results
+def _name(base: int, row: int, col: int) -> str:
+    """What the journal calls a task."""
+    return f"{base}-{row}-{col}"
 
 
 def _parents(values: F32, reduce: np.ufunc) -> F32:

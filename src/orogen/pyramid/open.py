@@ -11,25 +11,28 @@ import threading
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from orogen.errors import OrogenError, OutputError, SettingsError, StoreError
 from orogen.pyramid.build import Builder, Cancelled
 from orogen.pyramid.contract import Pyramid
+from orogen.pyramid.overviews import overview_levels
 from orogen.pyramid.store import FORMAT, Store
 from orogen.source import cache as shelf
-from orogen.source.contract import Source
+from orogen.source.contract import Source, levels_of
+from orogen.source.stored import StoredSource
 
 log = logging.getLogger("orogen")
 
 Progress = Callable[[float, str], None]
+Build = Literal["auto", "wait", "background", "never"]
 
 
 def open_pyramid(
     source: Source,
     *,
     cache: Path | None = None,
-    build: Literal["wait", "background", "never"] = "wait",
+    build: Build = "wait",
     progress: Progress | None = None,
 ) -> Pyramid:
     """The pyramid of a source.
@@ -37,17 +40,28 @@ def open_pyramid(
     cache: the folder of built pyramids; None: `cache_dir()`. Data without a fingerprint, such as arrays, get a
     temporary store that goes with the process.
     build: what to do where the pyramid is not built: build it and "wait", build it in the "background" (see
-    `Pyramid.wait`), or "never" build it.
+    `Pyramid.wait`), or "never" build it. "auto" waits too, unless the source has overviews from which all levels can
+    be read at once; "background" and "never" use them as well. A source that makes its own levels is never built.
     progress: called with the part done (0 to 1) and what is done, from any thread.
 
     Raises SourceError where the source cannot be read, StoreError where the store is damaged.
     """
-    if build not in ("wait", "background", "never"):
-        raise SettingsError(f"build: expected 'wait', 'background' or 'never', got {build!r}")
+    if build not in get_args(Build):
+        raise SettingsError(f"build: expected one of {', '.join(get_args(Build))}, got {build!r}")
     pyramid = Pyramid(source)
+    if isinstance(source, StoredSource):
+        pyramid._use(Store(source.arrays.path, source.arrays.remedy, source.arrays.watch), source.facts)
+        return pyramid
+    own = levels_of(source)
+    if own is not None:
+        pyramid._use_levels(own)
+        return pyramid
     folder = cache or shelf.cache_dir()
     target = folder / _entry_name(source) if source.fingerprint else None
     if target is not None and _open_built(pyramid, target):
+        return pyramid
+    if build != "wait" and (own := overview_levels(source)) is not None:
+        pyramid._use_levels(own)
         return pyramid
     if build == "never":
         pyramid._done.set()
@@ -55,7 +69,7 @@ def open_pyramid(
     stop = threading.Event()
     pyramid._closing.append(stop.set)
     report = progress or (lambda fraction, text: None)
-    if build == "wait":
+    if build != "background":
         _build(pyramid, target, stop, report)
     else:
         # a daemon: a build that is not finished must not keep the process

@@ -65,7 +65,7 @@ def coverage_means(c: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def colour_means(c: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Means of 2 x 2 colours (rows, columns, 4) in linear light, weighted by alpha; odd last ones repeat."""
-    to_linear, to_srgb = _srgb_tables()
+    to_linear, to_srgb = srgb_tables()
     c = np.pad(c, ((0, c.shape[0] % 2), (0, c.shape[1] % 2), (0, 0)), mode="edge")
     children = [c[i::2, j::2] for i in (0, 1) for j in (0, 1)]
     alpha = sum(child[..., 3].astype(np.uint16) for child in children)
@@ -83,7 +83,7 @@ def colour_means(c: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @lru_cache
-def _srgb_tables() -> tuple[F32, NDArray[np.uint8]]:
+def srgb_tables() -> tuple[F32, NDArray[np.uint8]]:
     """sRGB bytes to linear light, and back from linear light in steps fine enough to return every byte."""
 
     def decode(s: NDArray[np.float64]) -> NDArray[np.float64]:

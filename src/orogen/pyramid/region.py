@@ -83,12 +83,26 @@ class HeightRegion:
         self._top = c[:2].copy() if self._top is None else self._top
         self._bottom = c[-2:].copy()
         self._sides.append((c[:, :2].copy(), c[:, -2:].copy()))
+        if np.isnan(c[0, 0]) and np.isnan(c).all():
+            self._add_void(c.shape)
+            return
         p, c = means_and_evened(c)
         rows = slice(self._row, self._row + p.shape[0])
         self.means[rows] = p
         if self.coverage is not None and coverage is not None and coverage.min() < 255:
             self.coverage[rows] = coverage_means(coverage)
         self._compare(ringed(p, c, self._edges.left, self._edges.right, self._level))
+        self._row = rows.stop
+
+    def _add_void(self, shape: tuple[int, int]) -> None:
+        """What `add` comes to for nodata alone, without computing it."""
+        rows = slice(self._row, self._row - (-shape[0] // 2))
+        self.means[rows] = np.nan
+        if self.coverage is not None:
+            self.coverage[rows] = 0
+        width = self.means.shape[1] + int(self._edges.left) + int(self._edges.right)
+        heights = (min(2, rows.stop - rows.start), 2, 2)
+        self._last = Ringed(*(np.full((height, width), np.nan, np.float32) for height in heights))
         self._row = rows.stop
 
     def finish(self) -> Strips:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,89 +12,54 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.errors import StoreError
 from orogen.grid import Grid
 from orogen.keys import NODE_SIZE, level_shape
+from orogen.source.rounding import Rounding
+from orogen.source.stored import ATTRIBUTE, FORMAT, MARK, READING, StoredArrays, kvstore
 
 if TYPE_CHECKING:
     import tensorstore as ts
 
-FORMAT = 1
-"""Version of the layout and of the values; part of the key of every store."""
-ATTRIBUTE = "orogen"
+__all__ = ["FORMAT", "Store"]
+
+PART = ".__part"
+"""End of the name of a file that is being written."""
 
 
-@dataclass(frozen=True)
-class Store:
-    """The arrays of one pyramid in a folder. Thread-safe."""
-
-    path: Path
-
-    @cached_property
-    def _context(self) -> ts.Context:
-        import tensorstore as ts
-
-        # a little cache for shard indices; decoded nodes are kept by the streaming room
-        return ts.Context({"cache_pool": {"total_bytes_limit": 4_000_000}, "data_copy_concurrency": {"limit": 2}})
-
-    @cached_property
-    def _open(self) -> dict[tuple[int, str], ts.TensorStore]:
-        return {}
-
-    def array(self, level: int, name: str) -> ts.TensorStore:
-        """An array of a level: 'height', 'colour', 'coverage' or 'bounds'."""
-        import tensorstore as ts
-
-        found = self._open.get((level, name))
-        if found is None:
-            spec = {"driver": "zarr3", "kvstore": _kvstore(self.path / str(level) / name), **READING}
-            try:
-                found = ts.open(spec, open=True, context=self._context).result()
-            except (ValueError, OSError) as error:
-                raise self.damaged(level, error) from error
-            self._open[level, name] = found
-        return found
-
-    def read(self, level: int, name: str, rows: slice, cols: slice) -> NDArray[Any]:
-        """A window of an array; StoreError where a part is missing or damaged."""
-        array = self.array(level, name)
-        try:
-            return array[rows, cols].read(order="C").result()
-        except (ValueError, OSError) as error:
-            raise self.damaged(level, error) from error
-
-    def damaged(self, level: int, error: Exception) -> StoreError:
-        """What to raise when reading fails."""
-        reason = str(error).split(" [")[0]
-        return StoreError(
-            f"{self.path}: level {level} is damaged or incomplete ({reason}); "
-            "run `orogen cache clear` and open it again"
-        )
-
-    def facts(self) -> dict[str, Any] | None:
-        """What `finish` wrote, or None where the store is not complete."""
-        try:
-            return json.loads((self.path / "zarr.json").read_text())["attributes"][ATTRIBUTE]
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+class Store(StoredArrays):
+    """The arrays of one pyramid in a folder, to be written too. Thread-safe."""
 
     def finish(self, grid: Grid, facts: dict[str, Any]) -> None:
         """Write the group's metadata, which marks the store as complete."""
-        _group(self.path, {**_spatial(grid, 0), ATTRIBUTE: {"format": FORMAT, **facts}})
+        write_group(self.path, {**spatial(grid, 0), ATTRIBUTE: {"format": FORMAT, **facts}})
 
     def create(
-        self, grid: Grid, level: int, name: str, shape: Sequence[int], dtype: str, shard: tuple[int, int], fill: Any
+        self,
+        grid: Grid,
+        level: int,
+        name: str,
+        shape: Sequence[int],
+        dtype: str,
+        shard: tuple[int, int],
+        fill: Any,
+        rounding: Rounding | None = None,
     ) -> ts.TensorStore:
-        """A new sharded array of a level, chunks of NODE_SIZE x NODE_SIZE."""
+        """A sharded array of a level, chunks of NODE_SIZE x NODE_SIZE; one that is there already is taken.
+
+        rounding: how heights become the numbers that are stored; None: they are stored as they are.
+        """
         import tensorstore as ts
 
         folder = self.path / str(level)
         tail = list(shape[2:])
         chunk = [NODE_SIZE, NODE_SIZE, *tail]
         shape_of_shard = [min(s, -(-n // NODE_SIZE) * NODE_SIZE) for s, n in zip(shard, shape, strict=False)] + tail
-        attributes = {"grid_mapping": "spatial_ref", "coordinates": "spatial_ref", **_spatial(grid, level)}
+        attributes = {"grid_mapping": "spatial_ref", "coordinates": "spatial_ref", **spatial(grid, level)}
         if name == "height":
             attributes |= {"standard_name": "surface_altitude", "units": "m"}
+        if rounding is not None:
+            dtype, fill = rounding.dtype, rounding.nodata
+            attributes |= {"scale_factor": rounding.step, "add_offset": 0.0, "missing_value": fill}
         metadata = {
             "shape": list(shape),
             "data_type": dtype,
@@ -104,38 +69,58 @@ class Store:
             "dimension_names": ["y", "x", "band"][: len(shape)],
             "attributes": attributes,
         }
-        _group(folder, {})
+        write_group(folder, {})
         _spatial_ref(folder / "spatial_ref", grid, level)
-        spec = {"driver": "zarr3", "kvstore": _kvstore(folder / name), "metadata": metadata, **READING}
-        array = ts.open(spec, create=True, context=self._context).result()
-        self._open[level, name] = array
+        spec = {"driver": "zarr3", "kvstore": kvstore(folder / name), "metadata": metadata, **READING}
+        array = ts.open(spec, open=True, create=True, context=self._context).result()
+        self._open[level, name] = array, rounding
         return array
 
+    @cached_property
+    def _voids(self) -> dict[tuple[int, str], bytes]:
+        return {}
+
+    def write_void(self, level: int, name: str, rows: slice, cols: slice, value: NDArray[Any]) -> None:
+        """Store one value, of shape (1, 1), in a window of whole shards; all but the first are copies of its bytes."""
+        array = self.array(level, name)
+        height, width = (int(n) for n in (array.chunk_layout.write_chunk.shape or ())[:2])  # type: ignore[arg-type]
+        for row in range(rows.start, rows.stop, height):
+            for col in range(cols.start, cols.stop, width):
+                shape = min(rows.stop - row, height), min(cols.stop - col, width)
+                shard = self.path / str(level) / name / "c" / str(row // height) / str(col // width)
+                content = self._voids.get((level, name)) if shape == (height, width) else None
+                if content is not None:
+                    shard.parent.mkdir(parents=True, exist_ok=True)
+                    write_whole(shard, content)
+                    continue
+                array[row : row + shape[0], col : col + shape[1]].write(np.broadcast_to(value, shape)).result()
+                if shape == (height, width):
+                    self._voids[level, name] = shard.read_bytes()
+
     def write_bounds(self, level: int, bounds: NDArray[np.float32]) -> None:
-        """Store the (node rows, node columns, 3) bounds of a level as one chunk."""
+        """Store the (node rows, node columns, 3) bounds of a level."""
+        attributes = {"fields": ["minimum", "maximum", "error"], "units": "m"}
+        self.write_table(level, "bounds", bounds, ["node_y", "node_x", "bound"], attributes)
+
+    def write_table(
+        self, level: int, name: str, values: NDArray[Any], dimensions: list[str], attributes: dict[str, Any]
+    ) -> None:
+        """Store a small array of a level as one chunk, in place of what is there."""
         import tensorstore as ts
 
         folder = self.path / str(level)
-        _group(folder, {})
+        write_group(folder, {})
         metadata = {
-            "shape": list(bounds.shape),
-            "data_type": "float32",
-            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(bounds.shape)}},
+            "shape": list(values.shape),
+            "data_type": str(values.dtype),
+            "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(values.shape)}},
             "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
             "fill_value": "NaN",
-            "dimension_names": ["node_y", "node_x", "bound"],
-            "attributes": {"fields": ["minimum", "maximum", "error"], "units": "m"},
+            "dimension_names": dimensions,
+            "attributes": attributes,
         }
-        spec = {"driver": "zarr3", "kvstore": _kvstore(folder / "bounds"), "metadata": metadata, **READING}
-        ts.open(spec, create=True, context=self._context).result().write(bounds).result()
-
-
-READING = {"fill_missing_data_reads": False, "store_data_equal_to_fill_value": True}
-"""A chunk that is missing is an error; one that is all nodata is stored."""
-
-
-def _kvstore(path: Path) -> dict[str, str]:
-    return {"driver": "file", "path": f"{path.as_posix()}/"}
+        spec = {"driver": "zarr3", "kvstore": kvstore(folder / name), "metadata": metadata, **READING}
+        ts.open(spec, open=True, create=True, context=self._context).result().write(values).result()
 
 
 def _sharding(chunk: list[int], size: int) -> dict[str, Any]:
@@ -161,18 +146,18 @@ def _sharding(chunk: list[int], size: int) -> dict[str, Any]:
     }
 
 
-def _transform(grid: Grid, level: int) -> tuple[float, ...]:
+def transform(grid: Grid, level: int) -> tuple[float, ...]:
     """The geotransform of a level: its texels are 2**level as wide from the same upper left corner."""
     a, b, c, d, e, f = grid.transform
     n = 2.0**level
     return a * n, b * n, c, d * n, e * n, f
 
 
-def _spatial(grid: Grid, level: int) -> dict[str, Any]:
+def spatial(grid: Grid, level: int) -> dict[str, Any]:
     """The attributes of the geo-proj and spatial conventions."""
     attributes: dict[str, Any] = {
         "spatial:dimensions": ["y", "x"],
-        "spatial:transform": list(_transform(grid, level)),
+        "spatial:transform": list(transform(grid, level)),
         "spatial:shape": list(level_shape(grid.shape, level)),
     }
     if grid.crs is not None:
@@ -187,15 +172,23 @@ def _wkt(crs: str) -> str:
     return parse_crs(crs).to_wkt()
 
 
-def _group(folder: Path, attributes: dict[str, Any]) -> None:
+def write_group(folder: Path, attributes: dict[str, Any]) -> None:
+    """Write the metadata of a group."""
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"zarr_format": 3, "node_type": "group", "attributes": attributes}, indent=1)
-    (folder / "zarr.json").write_text(text)
+    write_whole(folder / MARK, text.encode())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is never seen in part, and that takes the place of another without touching its content."""
+    part = path.with_name(f"{path.name}{PART}")
+    part.write_bytes(content)
+    os.replace(part, path)
 
 
 def _spatial_ref(folder: Path, grid: Grid, level: int) -> None:
     """The scalar variable of the CF conventions that holds the CRS and the geotransform."""
-    a, b, c, d, e, f = _transform(grid, level)
+    a, b, c, d, e, f = transform(grid, level)
     attributes: dict[str, Any] = {"GeoTransform": " ".join(repr(v) for v in (c, a, b, f, d, e))}
     if grid.crs is not None:
         attributes |= {"crs_wkt": _wkt(grid.crs), "spatial_ref": _wkt(grid.crs)}
@@ -211,4 +204,4 @@ def _spatial_ref(folder: Path, grid: Grid, level: int) -> None:
         "attributes": attributes,
     }
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "zarr.json").write_text(json.dumps(metadata, indent=1))
+    write_whole(folder / MARK, json.dumps(metadata, indent=1).encode())

@@ -28,6 +28,7 @@ class Rasterizer:
     def __init__(self, clipmap: Clipmap, path: str = "auto") -> None:
         """`path`: one of `PATHS`. Raises SettingsError where the adapter cannot follow it."""
         self._clipmap = clipmap
+        self._path = path
         gpu = clipmap.gpu
         if path not in PATHS:
             raise expected_name("rasteriser", path, PATHS)
@@ -40,6 +41,10 @@ class Rasterizer:
         self._empty_group = gpu.bind("nothing", self._empty_layout, {})
         self._pipelines: dict[tuple[Any, ...], Any] = {}
         self._compute = ComputeRasterizer(clipmap, self._write_layout) if _wants_compute(path, gpu) else None
+
+    def another(self) -> Rasterizer:
+        """One of the same kind, with queues of its own, for another view."""
+        return Rasterizer(self._clipmap, self._path)
 
     def surface(self, size: tuple[int, int]) -> Surface:
         """A surface buffer of (width, height) pixels."""

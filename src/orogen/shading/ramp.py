@@ -7,12 +7,18 @@ from __future__ import annotations
 
 import difflib
 from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orogen.errors import SettingsError
-from orogen.shading.color import linear_of_oklab
+from orogen.shading.color import linear_of_oklab, srgb_decode, srgb_encode
+from orogen.shading.ramp_file import SUFFIXES, FileRamp, read_ramp
+
+if TYPE_CHECKING:
+    from orogen.source.painted import Stops
 
 RAMP_SIZE = 256
 """Entries of a ramp's table."""
@@ -48,11 +54,47 @@ def ramps() -> tuple[str, ...]:
 
 
 def check_ramp(name: str) -> None:
-    """Raise SettingsError, naming the ramps there are, unless `name` is one of them."""
-    if name not in _POINTS:
-        close = difflib.get_close_matches(name, _POINTS, 1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise SettingsError(f"ramp: expected one of {', '.join(_POINTS)}, got {name!r}{hint}")
+    """Raise SettingsError, naming the ramps there are, unless `name` is one of them or a file of one."""
+    if name in _POINTS:
+        return
+    if Path(name).suffix.lower() in SUFFIXES:
+        _from_file(name)
+        return
+    close = difflib.get_close_matches(name, _POINTS, 1)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    raise SettingsError(
+        f"ramp: expected one of {', '.join(_POINTS)} or a file ({', '.join(SUFFIXES)}), got {name!r}{hint}"
+    )
+
+
+def ramp_range(name: str) -> tuple[float, float] | None:
+    """Heights (m) of the ends of a ramp that has its own, from a file; None: those of the data."""
+    return None if name in _POINTS else _from_file(name).range
+
+
+@cache
+def _from_file(name: str) -> FileRamp:
+    return read_ramp(name)
+
+
+def ramp_stops(name: str) -> Stops:
+    """A ramp as what rasters are painted with: exactly as its file says, steps included.
+
+    Raises SettingsError where there is no ramp of that name, or no ramp in that file.
+    """
+    from orogen.source.painted import Stops
+
+    check_ramp(name)
+    if name in _POINTS:
+        return Stops(np.linspace(0, 1, RAMP_SIZE), srgb_encode(ramp_table(name)), relative=True)
+    ramp = _from_file(name)
+    values = ramp.heights
+    if Path(name).suffix.lower() == ".qml":
+        # classes of QGIS hold up to their values and with them, those of GMT from theirs on
+        step = np.flatnonzero(np.diff(values) == 0) + 1
+        values = values.copy()
+        values[step] += np.spacing(np.abs(values[step]).astype(np.float32))
+    return Stops(values, ramp.colors, ramp.relative)
 
 
 @cache
@@ -60,14 +102,17 @@ def ramp_table(name: str) -> NDArray[np.float32]:
     """(256, 3) linear RGB from the lowest to the highest height; read-only.
 
     Raises:
-        SettingsError: there is no ramp of that name.
+        SettingsError: there is no ramp of that name, or no ramp in that file.
     """
     check_ramp(name)
-    points = np.array(_POINTS[name])
-    hue = np.radians(points[:, 3])
-    lab = np.stack([points[:, 1], points[:, 2] * np.cos(hue), points[:, 2] * np.sin(hue)], axis=1)
-    position = np.linspace(0, 1, RAMP_SIZE)
-    linear = linear_of_oklab(np.stack([np.interp(position, points[:, 0], lab[:, i]) for i in range(3)], axis=1))
+    if name in _POINTS:
+        points = np.array(_POINTS[name])
+        hue = np.radians(points[:, 3])
+        lab = np.stack([points[:, 1], points[:, 2] * np.cos(hue), points[:, 2] * np.sin(hue)], axis=1)
+        position = np.linspace(0, 1, RAMP_SIZE)
+        linear = linear_of_oklab(np.stack([np.interp(position, points[:, 0], lab[:, i]) for i in range(3)], axis=1))
+    else:
+        linear = srgb_decode(_from_file(name).table(RAMP_SIZE))
     table: NDArray[np.float32] = np.clip(linear, 0, 1).astype(np.float32)
     table.flags.writeable = False
     return table

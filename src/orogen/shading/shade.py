@@ -15,7 +15,7 @@ from orogen.errors import GpuError
 from orogen.frame import Frame
 from orogen.shading.color import parse_hex
 from orogen.shading.light import light_of
-from orogen.shading.ramp import RAMP_SIZE, ramp_table
+from orogen.shading.ramp import RAMP_SIZE, ramp_range, ramp_table
 from orogen.shading.style import Style
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ def style_block(style: Style, frame: Frame) -> NDArray[np.float32]:
     """The `StyleBlock` of shade.wgsl, (32,)."""
     light = light_of(style)
     density, falloff, base = haze(style, frame)
-    low, high = style.ramp_range or frame.height_range
+    low, high = style.ramp_range or ramp_range(style.ramp) or frame.height_range
     block = np.zeros(_STYLE_FLOATS, np.float32)
     rows = block[:24].reshape(6, 4)
     colors = (light.sun, light.sun_color, light.zenith, light.horizon, light.skylight, light.bounce)

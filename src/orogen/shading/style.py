@@ -24,9 +24,10 @@ class Style:
     """Colour of the ground: "image" (draped; plain where there is none), "ramp" (by height), "plain" (one grey), or
     "auto": the image where there is one, the ramp elsewhere."""
     ramp: str = "terrain"
-    """Name of the colour ramp, one of `ramps()`."""
+    """Name of the colour ramp, one of `ramps()`, or a file of one: GMT's .cpt, QGIS's .qml, gdaldem's .txt or .clr."""
     ramp_range: tuple[float, float] | None = None
-    """Heights (metres of the data) of the ramp's ends, lowest first; None: the lowest and highest of the data."""
+    """Heights (metres of the data) of the ramp's ends, lowest first; None: those of its file, else the lowest and
+    highest of the data."""
     lit: bool = True
     """False: the colour of the ground alone, without light, haze, exposure and tone curve, to compare pictures."""
     sun: tuple[float, float] = (315.0, 35.0)

@@ -1,4 +1,4 @@
-"""The folder of built pyramids and terrains: where it is, what is in it, and what has to go."""
+"""The folder of built pyramids, terrains and remote blocks: where it is, what is in it, and what has to go."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BUILDING = ".building-"
 
 @dataclass(frozen=True)
 class Entry:
-    """A pyramid or terrain in the cache."""
+    """A pyramid, a terrain or the blocks of a remote file in the cache."""
 
     path: Path
     size: int
@@ -85,10 +85,10 @@ def clear(folder: Path | None = None) -> int:
     return sum(entry.size for entry in info(folder).entries if remove(entry.path))
 
 
-def tidy(folder: Path) -> None:
-    """Remove what killed builds left, then the least recently used entries beyond the budget."""
+def tidy(folder: Path, room: int = 0) -> None:
+    """Remove what killed builds left, then the least recently used entries until the budget has `room` bytes left."""
     current = info(folder)
-    excess = current.size - current.maximum
+    excess = current.size + room - current.maximum
     for entry in current.entries:
         if (BUILDING in entry.path.name or excess > 0) and remove(entry.path):
             excess -= entry.size
@@ -98,7 +98,7 @@ def remove(path: Path) -> bool:
     """Remove an entry unless it is in use; whether it is gone."""
     try:
         with open(path / MARK, "r+b") as mark:
-            if not _lock(mark, shared=False):
+            if not lock(mark, shared=False):
                 return False
             if sys.platform == "win32":
                 mark.close()
@@ -123,7 +123,7 @@ def hold(path: Path) -> IO[bytes] | None:
         mark = open(path / MARK, "a+b")  # noqa: SIM115
     except OSError:
         return None
-    if not _lock(mark, shared=True) or not (path / MARK).exists():
+    if not lock(mark, shared=True) or not (path / MARK).exists():
         mark.close()
         return None
     os.utime(path / MARK)
@@ -176,7 +176,7 @@ def _entry(path: Path) -> Entry:
     return Entry(path, sum(sizes), used)
 
 
-def _lock(file: IO[bytes], shared: bool) -> bool:
+def lock(file: IO[bytes], shared: bool) -> bool:
     """Lock an open file without waiting, until it is closed; whether that succeeded."""
     if sys.platform == "win32":  # there an open file keeps its folder from being renamed or removed
         return True

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,28 @@ class Bands:
     colour: list[int]
     """One band (grey, or an index into the palette) or three."""
     palette: NDArray[np.uint8] | None = None
-    """(256, 4) RGBA of a palette image."""
+    """(256 or 65536, 4) RGBA of a palette image."""
+
+
+class Pixels(Protocol):
+    """Where pixels come from."""
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """(rows, columns) worth reading at once."""
+
+    @property
+    def direct(self) -> bool:
+        """Whether small windows are cheap."""
+
+    def read(self, rows: slice, cols: slice) -> NDArray[np.uint8]:
+        """(rows, columns, 4) of a window."""
+
+    def overview(self, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """(rows, columns, 4) of all at `shape`, decimated."""
+
+    def close(self) -> None:
+        """Release open files."""
 
 
 @dataclass(frozen=True)
@@ -93,16 +115,23 @@ class FileColours:
         with ThreadPoolExecutor(2) as pool:
             return np.concatenate(list(pool.map(lambda s: self.read(s[0], cols, (s[1], shape[1])), strips)))
 
+    @cached_property
+    def overviews(self) -> tuple[FileColours, ...]:
+        """The file's own overviews, the finest first."""
+        return tuple(replace(self, file=file, shape=shape, block=block) for file, shape, block in self.file.overviews())
+
     def close(self) -> None:
         """Close idle file handles."""
         self.file.close()
+        for overview in self.__dict__.get("overviews", ()):
+            overview.close()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColourSource(Facts):
     """sRGB colours with straight alpha; a `Source`."""
 
-    pixels: ArrayColours | FileColours
+    pixels: Pixels
     """Where the pixels come from."""
     nodata: float | None = field(default=None, init=False)
     """Nodata pixels have alpha 0."""
@@ -128,6 +157,11 @@ class ColourSource(Facts):
         """uint8 (rows, columns, 4) of the whole raster at `shape` (rows, columns), or its own where that is smaller."""
         height, width = self.grid.shape
         return self.pixels.overview((min(shape[0], height), min(shape[1], width)))
+
+    @property
+    def overviews(self) -> tuple[FileColours, ...]:
+        """Overviews of the pixels, the finest first."""
+        return getattr(self.pixels, "overviews", ())
 
     def close(self) -> None:
         """Release open files."""
@@ -156,7 +190,7 @@ def picture_bands(dataset: Any, path: str) -> tuple[Bands, str]:
     if {"red", "green", "blue"} <= set(names):
         return Bands([names.index(name) + 1 for name in ("red", "green", "blue")]), dtype
     if names[0] == "palette":
-        palette = np.zeros((256, 4), np.uint8)
+        palette = np.zeros((256 if dtype == "uint8" else 65536, 4), np.uint8)
         for index, entry in dataset.colormap(1).items():
             palette[index] = entry
         return Bands([1], palette), dtype

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import numpy as np
@@ -10,6 +11,57 @@ from numpy.typing import NDArray
 from orogen.grid import Grid
 
 Kind = Literal["height", "colour"]
+
+
+class Levels(Protocol):
+    """Coarser levels that need no building, in the sizes of `keys.level_shape`. Safe to use from several threads."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the bounds of nodes are certain; else levels and bounds are estimates of what building would give."""
+
+    @property
+    def chunked(self) -> bool:
+        """Whether a window costs as much to read as all chunks (nodes) that it touches; else it costs what it holds."""
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest height (m); of heights only."""
+
+    def read(self, level: int, rows: slice, cols: slice) -> NDArray[np.float32] | NDArray[np.uint8]:
+        """The samples of a window of a level, as `Source.read` gives those of level 0."""
+
+    def read_coverage(self, level: int, rows: slice, cols: slice) -> NDArray[np.uint8]:
+        """The valid part, 0 to 255, of each sample of a window; of heights only."""
+
+    def node_bounds(self, level: int, rows: slice, cols: slice) -> NDArray[np.float32] | None:
+        """(node rows, node columns, 3) of a window of nodes: see `Pyramid.node_bounds`; None where unknown."""
+
+
+class Overview(Protocol):
+    """The whole of a source with fewer samples, evenly spread over the same area. Safe to use from several threads."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns): of any ratio to those of the source."""
+
+    def read(self, rows: slice, cols: slice) -> NDArray[np.float32] | NDArray[np.uint8]:
+        """The samples of a window, as `Source.read` gives those of the source."""
+
+
+def levels_of(source: Source) -> Levels | None:
+    """Levels that a source has itself (its attribute `levels`), or None."""
+    return getattr(source, "levels", None)
+
+
+def overviews_of(source: Source) -> Sequence[Overview]:
+    """Overviews that a source has (its attribute `overviews`), the finest first; most have none."""
+    return getattr(source, "overviews", ())
+
+
+def attribution_of(source: Source) -> str:
+    """Who is to be named where a source is shown (its attribute `attribution`), or ""."""
+    return str(getattr(source, "attribution", ""))
 
 
 class Source(Protocol):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,37 @@ class Facts:
     """Changes with the samples."""
     covered: bool = False
     """Whether every sample is certainly valid."""
+    attribution: str = ""
+    """Who is to be named where the raster is shown."""
+
+
+class Samples(Protocol):
+    """Where stored samples come from."""
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """(rows, columns) worth reading at once."""
+
+    @property
+    def direct(self) -> bool:
+        """Whether small windows are cheap."""
+
+    @property
+    def sequential(self) -> bool:
+        """Whether it can only be read from its start."""
+
+    @property
+    def masked(self) -> bool:
+        """Whether a mask says which samples are valid."""
+
+    def read(self, rows: slice, cols: slice) -> MASKED:
+        """The stored samples of a window."""
+
+    def overview(self, shape: tuple[int, int]) -> MASKED:
+        """The whole raster at `shape` (rows, columns), decimated."""
+
+    def close(self) -> None:
+        """Release open files."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +82,13 @@ class ArraySamples:
     """(rows, columns) worth reading at once."""
     direct: bool = True
     """Small windows are cheap."""
+    sequential: bool = False
+    """They can be read from anywhere."""
+
+    @property
+    def masked(self) -> bool:
+        """Whether a mask says which samples are valid."""
+        return self.valid is not None
 
     def read(self, rows: slice, cols: slice) -> MASKED:
         """The stored samples of a window."""
@@ -80,13 +119,15 @@ class FileSamples:
     direct: bool
     """Whether small windows are cheap."""
     masked: bool
-    """Whether the file has a mask or alpha band."""
+    """Whether a mask or alpha band says which samples are valid."""
+    sequential: bool = False
+    """Whether it can only be read from its start."""
     packed: bool = False
     """Whether a sample is 65536 R + 256 G + B of the first three bands, not the first band."""
 
     def read(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> MASKED:
         """The stored samples of a window, decimated to `shape` where given."""
-        valid = self.file.alpha(rows, cols, shape) > 0 if self.masked else None
+        valid = self.file.mask(rows, cols, shape) > 0 if self.masked else None
         if not self.packed:
             return self.file.read(1, rows, cols, shape), valid
         red, green, blue = self.file.read([1, 2, 3], rows, cols, shape).astype(np.int32)
@@ -101,9 +142,16 @@ class FileSamples:
         masks = [part[1] for part in parts if part[1] is not None]
         return np.concatenate([part[0] for part in parts]), np.concatenate(masks) if masks else None
 
+    @cached_property
+    def overviews(self) -> tuple[FileSamples, ...]:
+        """The file's own overviews, the finest first."""
+        return tuple(replace(self, file=file, shape=shape, block=block) for file, shape, block in self.file.overviews())
+
     def close(self) -> None:
         """Close idle file handles."""
         self.file.close()
+        for overview in self.__dict__.get("overviews", ()):
+            overview.close()
 
 
 def split(size: int, block: int, count: int) -> list[tuple[slice, int]]:
@@ -119,7 +167,7 @@ def split(size: int, block: int, count: int) -> list[tuple[slice, int]]:
 class HeightSource(Facts):
     """Heights in metres; a `Source`."""
 
-    samples: ArraySamples | FileSamples
+    samples: Samples
     """Where the stored samples come from."""
     values: Values
     """How they become metres."""
@@ -151,9 +199,33 @@ class HeightSource(Facts):
         height, width = self.grid.shape
         return self.values.metres(*self.samples.overview((min(shape[0], height), min(shape[1], width))))
 
+    @property
+    def overviews(self) -> tuple[HeightOverview, ...]:
+        """Overviews of the samples, the finest first."""
+        return tuple(HeightOverview(samples, self.values) for samples in getattr(self.samples, "overviews", ()))
+
     def close(self) -> None:
         """Release open files."""
         self.samples.close()
+
+
+@dataclass(frozen=True)
+class HeightOverview:
+    """An overview of heights; `orogen.source.contract.Overview`."""
+
+    samples: Any
+    """Where the stored samples come from: with a shape."""
+    values: Values
+    """How they become metres."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.samples.shape
+
+    def read(self, rows: slice, cols: slice) -> NDArray[np.float32]:
+        """float32 metres (rows, columns) of a window, NaN = nodata."""
+        return self.values.metres(*self.samples.read(rows, cols))
 
 
 def check_window(rows: slice, cols: slice, shape: tuple[int, int], name: str) -> None:

@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from orogen.errors import SourceError
+from orogen.grid import Grid
 
 if TYPE_CHECKING:
     from rasterio.crs import CRS
@@ -26,18 +27,6 @@ def parse_crs(text: str) -> CRS:
         raise SourceError(f"crs: expected 'EPSG:n' or WKT, got {text!r} ({error})") from error
 
 
-def vertical_reference(crs: CRS | None) -> tuple[str | None, str | None]:
-    """Name and unit of the vertical part of a compound CRS; None for what there is not."""
-    if crs is None:
-        return None, None
-    vertical = _element(crs.to_wkt(), "VERT_CS")
-    if vertical is None:
-        return None, None
-    name = re.match(r'VERT_CS\["([^"]*)"', vertical)
-    unit = re.search(r'UNIT\["([^"]*)"', vertical)
-    return (name[1] if name else None), (unit[1] if unit else None)
-
-
 def ground_scale(crs: CRS | None, x: float, y: float, step: float) -> tuple[float, float]:
     """True metres per CRS unit along x and y at (x, y) on the CRS's own ellipsoid.
 
@@ -51,7 +40,7 @@ def ground_scale(crs: CRS | None, x: float, y: float, step: float) -> tuple[floa
         radians = crs.units_factor[1]
         east, north = _metres_per_radian(min(max(y * radians, -1.5), 1.5), axis, flattening)
         return east * radians, north * radians
-    linear = float(crs.units_factor[1]) if crs.is_projected else 1.0
+    linear = float(crs.units_factor[1])
     try:
         longitude, latitude = _geographic(crs, [x - step, x + step, x, x], [y, y, y - step, y + step])
     except SourceError:
@@ -68,14 +57,34 @@ def ground_scale(crs: CRS | None, x: float, y: float, step: float) -> tuple[floa
     return (along_x, along_y) if usable else (linear, linear)
 
 
+def distortion(grid: Grid, places: int = 9) -> tuple[float, float]:
+    """Least and greatest true length over a raster, along x or y, against the one that `grid.ground_scale` gives.
+
+    Looked at in `places` x `places` points from edge to edge; (1, 1) without a CRS.
+    """
+    crs = parse_crs(grid.crs) if grid.crs else None
+    a, b, _, d, e, _ = grid.transform
+    step = math.sqrt(abs(a * e - b * d))
+    ratios = [1.0]
+    for row in range(places):
+        for column in range(places):
+            # half a sample inside: a global raster's edge is a pole or the seam
+            tx = 0.5 + (grid.width - 1) * column / (places - 1)
+            ty = 0.5 + (grid.height - 1) * row / (places - 1)
+            x, y = (float(axis) for axis in grid.to_crs(tx, ty))
+            local = ground_scale(crs, x, y, step)
+            ratios += [here / used for here, used in zip(local, grid.ground_scale, strict=True)]
+    return min(ratios), max(ratios)
+
+
 def _geographic(crs: CRS, x: list[float], y: list[float]) -> tuple[list[float], list[float]]:
     """Longitudes and latitudes in degrees on the geographic CRS that a projected one is based on."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
-    from orogen.source.raster import GDAL_ERRORS
+    from orogen.source.gdal import GDAL_ERRORS
 
-    base = _element(crs.to_wkt(), "GEOGCS")
+    base = element(crs.to_wkt(), "GEOGCS")
     if base is None:
         raise SourceError(f"no geographic CRS in {crs}")
     try:
@@ -103,7 +112,7 @@ def _metres_per_radian(latitude: float, axis: float, flattening: float) -> tuple
     return axis / w * math.cos(latitude), axis * (1 - e2) / w**3
 
 
-def _element(wkt: str, keyword: str) -> str | None:
+def element(wkt: str, keyword: str) -> str | None:
     """The text of the first element KEYWORD[...] of a WKT string."""
     start = wkt.find(keyword + "[")
     if start < 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from orogen.grid import Grid
 from orogen.source import cache
 from orogen.source.contract import Source
 from orogen.source.heights import ArraySamples, HeightSource
+from orogen.source.options import ColourOptions, HeightOptions
 from orogen.source.values import Values
 
 log = logging.getLogger("orogen")
@@ -22,6 +24,21 @@ VERSION = 1
 """Changes with the heights that `eroded` makes."""
 LARGEST = 8193
 """Rows and columns that may be asked for: the terrain is made in memory."""
+
+
+def recognises(data: Any) -> bool:
+    """Whether the synthetic terrain is asked for."""
+    return isinstance(data, str) and data == "synthetic"
+
+
+def open_height(data: Any, options: HeightOptions) -> Source:
+    """The synthetic terrain; no option changes it."""
+    return synthetic()
+
+
+def open_colour(data: Any, heights: Source, options: ColourOptions) -> Source:
+    """There is no such image."""
+    raise SourceError("synthetic: holds heights only, expected an image; leave color= out to colour it by height")
 
 
 def synthetic(size: int = 2049, seed: int = 7, spacing: float = 30.0) -> Source:

@@ -33,10 +33,12 @@ METRES = {
 """Metres per unit."""
 
 SENTINELS = (
-    -9999.0, -32768.0, -32767.0, 32767.0, 65535.0, -99999.0, -999999.0, 99999.0, -2147483648.0, -2147483647.0,
-    float(np.finfo(np.float32).min), float(np.finfo(np.float32).max), 1e20, -1e20, 1e38, -1e38,
+    -9999.0, -32768.0, -32767.0, 32767.0, 65535.0, -99999.0, -999999.0, 99999.0, 999999.0, -9999999.0, 9999999.0,
+    -2147483648.0, -2147483647.0, 2147483647.0, 4294967295.0, 1e20, -1e20,
 )  # fmt: skip
 """Values that data use for nodata without saying so."""
+LIMIT = 1e9
+"""Metres beyond which, either way, a sample is no height: the largest floats and integers that stand for nodata."""
 
 
 def unit_name(text: str) -> str:
@@ -53,17 +55,33 @@ class Values:
     """How stored samples become metres."""
 
     nodata: float | None = None
-    """Stored value that stands for nodata; NaN and infinities always do."""
+    """Stored value that stands for nodata; NaN, infinities and what lies beyond `LIMIT` always do."""
     scale: float = 1.0
     """Metres per stored unit."""
     offset: float = 0.0
     """Metres of the stored value 0."""
+    sentinels: tuple[float, ...] = ()
+    """Further stored values that stand for nodata."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and self.scale != 0):
             raise SourceError(f"height_scale: expected a finite number other than 0, got {self.scale:g}")
         if not math.isfinite(self.offset):
             raise SourceError(f"height_offset: expected a finite number, got {self.offset:g}")
+
+    @classmethod
+    def told(
+        cls, name: str, nodata: float | None, told: tuple[float, float], given: tuple[float | None, float | None]
+    ) -> Values:
+        """Of a raster that tells its (scale, offset); those that the user gives replace them."""
+        scale, offset = (theirs if mine is None else mine for theirs, mine in zip(told, given, strict=True))
+        try:
+            return cls(nodata, scale, offset)
+        except SourceError as error:
+            raise SourceError(
+                f"{name}: tells a scale of {told[0]:g} and an offset of {told[1]:g}, expected finite numbers and "
+                "a scale other than 0; give height_scale= and height_offset="
+            ) from error
 
     def converted(self, scale: float | None, offset: float | None, unit: float) -> Values:
         """These with a scale and offset of the user's, where given, and in units of `unit` metres."""
@@ -73,19 +91,21 @@ class Values:
 
     def possible(self, dtype: np.dtype[Any]) -> bool:
         """Whether samples of a type can be nodata by their value."""
-        return dtype.kind == "f" or (self.nodata is not None and fits(self.nodata, dtype))
+        return dtype.kind == "f" or not self._bounded(dtype) or any(fits(v, dtype) for v in self.marks())
 
     def invalid(self, raw: NDArray[Any]) -> NDArray[np.bool_] | None:
         """Where stored samples are nodata by their value, or None where none is."""
         mask = None
-        if raw.dtype.kind == "f":
-            mask = ~np.isfinite(raw)
-            if self.nodata is not None:
+        for mark in self.marks():
+            found = None
+            if raw.dtype.kind == "f":
                 with np.errstate(over="ignore"):  # a float64 nodata value of float32 samples
-                    mask |= raw == raw.dtype.type(self.nodata)
-        elif self.nodata is not None and fits(self.nodata, raw.dtype):
-            mask = raw == raw.dtype.type(int(self.nodata))
-        return mask if mask is not None and mask.any() else None
+                    found = raw == raw.dtype.type(mark)
+            elif fits(mark, raw.dtype):
+                found = raw == raw.dtype.type(int(mark))
+            if found is not None:
+                mask = found if mask is None else mask | found
+        return mask
 
     def metres(self, raw: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """float32 metres of stored samples, NaN where they are nodata or not `valid`."""
@@ -95,13 +115,24 @@ class Values:
                 heights = raw.astype(np.float32)
             else:  # in float64, so that 0.1 m steps round once
                 heights = (raw.astype(np.float64) * self.scale + self.offset).astype(np.float32)
+            if not self._bounded(raw.dtype):
+                heights[~(np.abs(heights) <= LIMIT)] = np.nan
         if mask is not None:
             heights[mask] = np.nan
-        if raw.dtype == np.float64:  # beyond float32
-            heights[np.isinf(heights)] = np.nan
         if valid is not None:
             heights[~valid] = np.nan
         return heights
+
+    def marks(self) -> tuple[float, ...]:
+        """All stored values that stand for nodata."""
+        return self.sentinels if self.nodata is None else (self.nodata, *self.sentinels)
+
+    def _bounded(self, dtype: np.dtype[Any]) -> bool:
+        """Whether no sample of a type lies beyond `LIMIT`."""
+        if dtype.kind == "f":
+            return False
+        info = np.iinfo(dtype)
+        return max(abs(info.min * self.scale + self.offset), abs(info.max * self.scale + self.offset)) <= LIMIT
 
 
 def fits(value: float, dtype: np.dtype[Any]) -> bool:
@@ -110,28 +141,49 @@ def fits(value: float, dtype: np.dtype[Any]) -> bool:
     return math.isfinite(value) and value == int(value) and info.min <= value <= info.max
 
 
-def hidden_sentinel(raw: NDArray[Any]) -> float | None:
-    """The undeclared nodata value of samples: a usual sentinel far away from all other samples; None without one."""
-    values = raw[np.isfinite(raw)] if raw.dtype.kind == "f" else raw
-    for end in (values.min(), values.max()) if values.size else ():
-        rest = values[values != end]
-        if rest.size and stands_apart(float(end), float(rest.min()), float(rest.max()), raw.dtype):
-            return float(end)
-    return None
-
-
-def possible_sentinel(raw: NDArray[Any]) -> float | None:
-    """-9999 where no sample of `raw` is near it: one that turns up among the samples not seen is nodata."""
-    if raw.dtype.kind == "u" or (raw.dtype.kind == "i" and not fits(-9999, raw.dtype)):
+def value_range(raw: NDArray[Any], usable: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Least and greatest of the stored samples that are usable; None without any."""
+    if not usable.any():
         return None
-    values = raw[np.isfinite(raw)] if raw.dtype.kind == "f" else raw
-    if values.size and stands_apart(-9999.0, float(values.min()), float(values.max()), raw.dtype):
-        return -9999.0
-    return None
+    lowest, highest = (-np.inf, np.inf) if raw.dtype.kind == "f" else (np.iinfo(raw.dtype).min, np.iinfo(raw.dtype).max)
+    low = raw.min(where=usable, initial=highest)
+    high = raw.max(where=usable, initial=lowest)
+    return float(low), float(high)
+
+
+def hidden_sentinels(raw: NDArray[Any], usable: NDArray[np.bool_]) -> tuple[float, ...]:
+    """The undeclared nodata values among usable samples: usual sentinels far away from all other samples."""
+    found: list[float] = []
+    usable = usable.copy()
+    while span := value_range(raw, usable):
+        for end in span:
+            others = usable & (raw != raw.dtype.type(end))
+            rest = value_range(raw, others)
+            if rest and stands_apart(end, *rest, raw.dtype):
+                found.append(end)
+                usable = others
+                break
+        else:
+            break
+    return tuple(found)
+
+
+def possible_sentinels(low: float, high: float, dtype: np.dtype[Any]) -> tuple[float, ...]:
+    """Usual sentinels far from the range of the samples seen: where they turn up among the others they are nodata.
+
+    None for unsigned integers, which would no longer be known to have no gaps.
+    """
+    if dtype.kind == "u":
+        return ()
+    held = (value for value in SENTINELS if dtype.kind == "f" or fits(value, dtype))
+    return tuple(value for value in held if stands_apart(value, low, high, dtype))
 
 
 def stands_apart(value: float, low: float, high: float, dtype: np.dtype[Any]) -> bool:
     """Whether `value` is a usual sentinel far outside the range low to high."""
-    known = SENTINELS if dtype != np.float32 else tuple(float(np.float32(s)) for s in SENTINELS)
+    known: tuple[float, ...] = SENTINELS
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            known = tuple(float(dtype.type(sentinel)) for sentinel in SENTINELS)
     gap = low - value if value < low else value - high
     return value in known and gap > max(100.0, 0.5 * (high - low))

@@ -119,6 +119,10 @@ class NodeAtlas:
         self._slots[key] = slot
         return slot
 
+    def remove(self, key: NodeKey) -> None:
+        """Forget a node: what is in its slot cannot be relied on."""
+        self._free.append(self._slots.pop(key))
+
     def upload(self, slot: int, node: HeightNode | ColorNode) -> None:
         """Copy a node's texels into a slot."""
         if isinstance(node, ColorNode):

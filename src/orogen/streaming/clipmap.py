@@ -11,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import orogen
-from orogen.errors import OrogenError
 from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import Buffer, Gpu, Texture
 from orogen.grid import Grid
+from orogen.keys import NODE_SIZE as CHUNK
 from orogen.keys import NodeKey, level_shape
 from orogen.pyramid.contract import Pyramid
 from orogen.streaming import blocks
+from orogen.streaming.faults import Faults
 from orogen.streaming.layer import Layer
 from orogen.streaming.requests import LayerGrid, wanted
+from orogen.streaming.retry import Failures
 from orogen.streaming.settings import COLOR_BORDER, HEIGHT_BORDER, MAX_ANISOTROPY, ClipmapSettings
 from orogen.streaming.tiles import BLOCK
 
@@ -34,17 +36,31 @@ class Clipmap:
     """The resident terrain, shared by all views of it."""
 
     def __init__(
-        self, gpu: Gpu, heights: Pyramid, colors: Pyramid | None = None, settings: ClipmapSettings | None = None
+        self,
+        gpu: Gpu,
+        heights: Pyramid,
+        colors: Pyramid | None = None,
+        settings: ClipmapSettings | None = None,
+        faults: Faults | None = None,
     ) -> None:
-        """`colors`: an image over the same terrain, in its CRS. Raises BudgetError where the memory is too little."""
+        """`colors`: an image over the same terrain, in its CRS. `faults`: where failures are noted.
+
+        Raises BudgetError where the memory is too little.
+        """
         self.gpu = gpu
+        self.faults = faults or Faults()
+        """What could not be read, made or uploaded."""
         self.settings = settings or ClipmapSettings()
         s = self.settings
         self.layers: list[Layer] = []
         pyramids = [heights] if colors is None else [heights, colors]
         try:
             for pyramid in pyramids:
-                self.layers.append(Layer(gpu, pyramid, s, s.memory // len(pyramids), s.host_memory // len(pyramids)))
+                share = s.memory // len(pyramids), s.host_memory // len(pyramids)
+                self.layers.append(Layer(gpu, pyramid, s, *share, self.faults))
+            self.slot_buffer = gpu.buffer("slots", self.layers[0].slots.nbytes, "STORAGE|COPY_DST", "clipmap")
+            # stands for the attachments that this terrain does not have
+            self._nothing = gpu.texture("no attachment", (1, 1), "r8unorm", "TEXTURE_BINDING", "clipmap")
         except BaseException:
             for layer in self.layers:
                 layer.close()
@@ -74,11 +90,9 @@ class Clipmap:
             },
         )
         """Layout of bind group 0, which every shader that includes frame.wgsl or clipmap.wgsl uses."""
-        self.slot_buffer = gpu.buffer("slots", self.heights.slots.nbytes, "STORAGE|COPY_DST", "clipmap")
         self.sampler = gpu.sampler("colour", mag_filter="linear", min_filter="linear", mipmap_filter="linear")
         self._slots_version = -1
-        # stands for the attachments that this terrain does not have
-        self._nothing = gpu.texture("no attachment", (1, 1), "r8unorm", "TEXTURE_BINDING", "clipmap")
+        self._unreadable: Failures[tuple[int, ...]] = Failures()
 
     @property
     def grid(self) -> Grid:
@@ -122,8 +136,8 @@ class Clipmap:
             if done == 0 or done + layer.atlas.upload_bytes <= budget:
                 done += layer.pump(budget - done)
         if self._slots_version != self.heights.version:
-            self._slots_version = self.heights.version
             self.gpu.write(self.slot_buffer, self.heights.slots)
+            self._slots_version = self.heights.version
         return done
 
     @property
@@ -131,8 +145,13 @@ class Clipmap:
         """Wanted nodes that are still to come."""
         return sum(layer.pending for layer in self.layers)
 
+    @property
+    def retry_in(self) -> float | None:
+        """Seconds until a node that failed is tried again; None where none has failed."""
+        return min((wait for layer in self.layers if (wait := layer.retry_in) is not None), default=None)
+
     def settle(self) -> None:
-        """Load until every wanted node that can be read and fits is resident."""
+        """Load until every wanted node that can be read and fits is resident; what fails is tried twice."""
         while True:
             uploaded = self.pump()
             if uploaded:
@@ -158,11 +177,16 @@ class Clipmap:
             at = np.clip(texel / 2.0**level - 0.5, 0, last)
             first = np.minimum(np.floor(at), np.maximum(last - 1, 0)).astype(int)
             stop = np.minimum(first + 1, last) + 1
+            chunk = (level, *(first // CHUNK).tolist())
+            if self._unreadable.resting(chunk):
+                continue
             try:
                 heights = layer.tiles.window(level, slice(first[0], stop[0]), slice(first[1], stop[1]))
-            except OrogenError:
+            except Exception as error:
                 # the loader reports what cannot be read; here a coarser level will do
+                self._unreadable.add(chunk, error)
                 continue
+            self._unreadable.remove(chunk)
             way = at - first
             weights = np.outer([1 - way[0], way[0]], [1 - way[1], way[1]])[: heights.shape[0], : heights.shape[1]]
             weights = np.where(np.isfinite(heights), weights, 0.0)
@@ -349,7 +373,8 @@ class ClipmapView:
         if bits == self._bits:
             return
         gpu, clipmap = self.clipmap.gpu, self.clipmap
-        self._bits = bits
+        # what follows may find no memory: the next frame tries again
+        self._bits = []
         self._starts = [0]
         for layer, b in zip(clipmap.layers, bits, strict=True):
             self._starts.append(self._starts[-1] + (layer.grid.level_count << 2 * b))
@@ -372,6 +397,7 @@ class ClipmapView:
                 9: clipmap.sampler,
             },
         )
+        self._bits = bits
 
     def _write_tables(self, origins: list[list[tuple[int, int]]]) -> None:
         clipmap = self.clipmap
@@ -455,13 +481,14 @@ def _origins(layer: LayerGrid, bits: int, centre: NDArray[np.float64]) -> list[t
     """First node (row, column) of each level's window around a centre in texels (column, row), kept over the data."""
     side = 1 << bits
     origins = []
+    x, y = (min(max(float(at), -1e15), 1e15) for at in centre)
     for level in range(layer.level_count):
-        x, y = np.rint(np.clip(centre / (layer.node_size << level), -1e9, 1e9)).astype(int).tolist()
+        width = layer.node_size << level
         rows, cols = layer.nodes(level)
-        origins.append((max(0, min(y - side // 2, rows - side)), max(0, min(x - side // 2, cols - side))))
+        first_row, first_col = round(y / width) - side // 2, round(x / width) - side // 2
+        origins.append((max(0, min(first_row, rows - side)), max(0, min(first_col, cols - side))))
     return origins
 
 
 def _lod_texel(frame: Frame, grid: Grid) -> NDArray[np.float64]:
-    eye = np.array([float(v) for v in grid.to_texel(frame.camera.x, frame.camera.y)])
-    return eye + grid.texels @ frame.lod_eye()[:2]
+    return np.array(grid.texel_of(frame.camera.x, frame.camera.y)) + grid.texels @ frame.lod_eye()[:2]

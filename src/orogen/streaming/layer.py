@@ -7,15 +7,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from orogen.errors import DeviceLostError, GpuError
 from orogen.gpu import Gpu
-from orogen.keys import NODE_SIZE as CHUNK
 from orogen.keys import NodeKey
 from orogen.pyramid.contract import Pyramid
 from orogen.streaming.atlas import MaximaBuilder, NodeAtlas, color_attachments, height_attachments
+from orogen.streaming.faults import Faults
 from orogen.streaming.loader import Loader
+from orogen.streaming.ranges import NodeRanges
 from orogen.streaming.requests import LayerGrid
 from orogen.streaming.settings import ClipmapSettings
-from orogen.streaming.tiles import BLOCK, ColorNode, DecodedTiles, HeightNode, color_node, height_node
+from orogen.streaming.tiles import (
+    BLOCK,
+    ColorNode,
+    DecodedTiles,
+    EstimatedTiles,
+    HeightNode,
+    Tiles,
+    color_node,
+    height_node,
+)
 
 _AHEAD = 64
 """Loaded nodes, at most, that wait to be uploaded."""
@@ -26,8 +37,19 @@ _BLOCK_MIPS = 4
 class Layer:
     """Resident nodes of one pyramid."""
 
-    def __init__(self, gpu: Gpu, pyramid: Pyramid, settings: ClipmapSettings, memory: int, host_memory: int) -> None:
-        """`memory`, `host_memory`: this layer's share in bytes. Raises BudgetError where that is too little."""
+    def __init__(
+        self,
+        gpu: Gpu,
+        pyramid: Pyramid,
+        settings: ClipmapSettings,
+        memory: int,
+        host_memory: int,
+        faults: Faults | None = None,
+    ) -> None:
+        """`memory`, `host_memory`: this layer's share in bytes. `faults`: where failures are noted.
+
+        Raises BudgetError where the memory is too little.
+        """
         self.pyramid = pyramid
         self.grid = LayerGrid(pyramid.grid, pyramid.level_count, settings.node_size)
         self.is_height = pyramid.kind == "height"
@@ -50,20 +72,34 @@ class Layer:
         self._estimates: set[NodeKey] = set()
         self._wanted: frozenset[NodeKey] = frozenset()
         self._seen = (np.inf, -np.inf)
-        self._ranges: list[NDArray[np.float32]] = []
+        self._known_ranges: NodeRanges | None = None
         # a quarter for loaded nodes, the rest for the tiles that they are made of
         ahead = max(1, min(_AHEAD, host_memory // 4 // self.atlas.upload_bytes))
         self.tiles = DecodedTiles(pyramid, max(0, host_memory - ahead * self.atlas.upload_bytes))
         self._loader: Loader[NodeKey, tuple[HeightNode | ColorNode, bool]] = Loader(
-            self._load, threads=settings.threads, ahead=ahead
+            self._load,
+            threads=settings.threads,
+            ahead=ahead,
+            name=pyramid.source.name,
+            faults=faults,
+            stand_in=self._estimate,
         )
 
     def _load(self, key: NodeKey) -> tuple[HeightNode | ColorNode, bool]:
         exact = self.pyramid.available(key.level)
+        return self._node(key, self.tiles), exact
+
+    def _estimate(self, key: NodeKey) -> tuple[HeightNode | ColorNode, bool] | None:
+        """What stands in for the coarsest node, which has no ancestor, while it cannot be read."""
+        if key.level < self.pyramid.level_count - 1 or not self.pyramid.available(key.level):
+            return None
+        return self._node(key, EstimatedTiles(self.pyramid)), False
+
+    def _node(self, key: NodeKey, tiles: Tiles) -> HeightNode | ColorNode:
         size = self.grid.node_size
         if self.is_height:
-            return height_node(self.tiles, self.pyramid, key, size, self.covered), exact
-        return color_node(self.tiles, self.pyramid, key, size), exact
+            return height_node(tiles, self.pyramid, key, size, self.covered)
+        return color_node(tiles, self.pyramid, key, size)
 
     def want(self, keys: Sequence[NodeKey]) -> None:
         """Ask for nodes, the most important first; what does not fit the atlas is left out."""
@@ -84,9 +120,12 @@ class Layer:
         )
 
     def pump(self, budget: int) -> int:
-        """Upload loaded nodes of at most `budget` bytes (one at least); returns the bytes uploaded."""
+        """Upload loaded nodes of at most `budget` bytes (one at least); returns the bytes uploaded.
+
+        A node whose upload fails is loaded again later. Raises DeviceLostError where all of them would.
+        """
         size = self.atlas.upload_bytes
-        fresh: list[int] = []
+        fresh: dict[NodeKey, int] = {}
         while not fresh or (len(fresh) + 1) * size <= budget:
             taken = self._loader.take(1)
             if not taken:
@@ -95,10 +134,15 @@ class Layer:
             slot = self.atlas.place(key, self._wanted)
             # no more nodes are wanted than there are slots
             assert slot is not None
-            self.atlas.upload(slot, node)
-            fresh.append(slot)
+            try:
+                self.atlas.upload(slot, node)
+            except GpuError as error:
+                self._drop(key, error)
+                continue
+            fresh[key] = slot
             if exact:
                 self._estimates.discard(key)
+                self._loader.done(key)
             else:
                 self._estimates.add(key)
             if isinstance(node, HeightNode):
@@ -107,9 +151,20 @@ class Layer:
                 self._seen = min(self._seen[0], node.low), max(self._seen[1], node.high)
         if fresh:
             self.version += 1
-            if self.maxima:
-                self.maxima.build(fresh)
+            try:
+                if self.maxima:
+                    self.maxima.build(list(fresh.values()))
+            except GpuError as error:
+                for key in fresh:
+                    self._drop(key, error)
         return len(fresh) * size
+
+    def _drop(self, key: NodeKey, error: GpuError) -> None:
+        if isinstance(error, DeviceLostError):
+            raise error
+        self.atlas.remove(key)
+        self._loader.fail(key, error)
+        self.version += 1
 
     def _keep_ranges(self, slot: int, ranges: NDArray[np.float32]) -> None:
         for mip in self.blocks:
@@ -139,8 +194,13 @@ class Layer:
 
     @property
     def failed(self) -> Mapping[NodeKey, BaseException]:
-        """Wanted nodes that could not be read, and why."""
+        """Wanted nodes that could not be read or uploaded so far, and why."""
         return self._loader.failed
+
+    @property
+    def retry_in(self) -> float | None:
+        """Seconds until a node that failed is tried again; None where none has failed."""
+        return self._loader.retry_in
 
     @property
     def estimates(self) -> int:
@@ -155,46 +215,29 @@ class Layer:
     def height_range(self) -> tuple[float, float]:
         """Lowest and highest valid height (m); until the pyramid is built an estimate that covers all nodes seen."""
         low, high = self.pyramid.height_range
-        if self.pyramid.built:
+        if self.pyramid.exact:
             return low, high
         return min(low, self._seen[0]), max(high, self._seen[1])
 
+    @property
+    def _ranges(self) -> NodeRanges | None:
+        """What the nodes' bounds say, once there are any."""
+        if self._known_ranges is None and self.pyramid.exact:
+            self._known_ranges = NodeRanges(self.pyramid, self.grid)
+        return self._known_ranges
+
     def bounds(self, level: int, rows: NDArray, cols: NDArray) -> tuple[NDArray, NDArray]:
         """Lowest and highest height (m) that nodes of heights may draw: of their samples and of those around them."""
-        if not self._ranges and self.pyramid.built:
-            everywhere = self.pyramid.height_range
-            self._ranges = [self._widened(level, everywhere) for level in range(self.pyramid.level_count)]
-        if not self._ranges:
+        if self._ranges is None:
             low, high = self.height_range
             return np.full(rows.shape, low), np.full(rows.shape, high)
-        table = self._ranges[level]
-        found = table[np.clip(rows, 0, table.shape[0] - 1), np.clip(cols, 0, table.shape[1] - 1)]
+        found = self._ranges.over(level, rows, cols)
         return found[..., 0], found[..., 1]
 
-    def _widened(self, level: int, everywhere: tuple[float, float]) -> NDArray[np.float32]:
-        """(node rows, node columns, 2) of a level: range of the chunks of a node and of those that touch it."""
-        chunks = self.pyramid.node_bounds(level)
-        assert chunks is not None, "a built pyramid of heights has bounds"
-        scale = self.grid.node_size // CHUNK
-        nodes = self.grid.nodes(level)
-        low = np.full(nodes, np.inf, np.float32)
-        high = -low
-        for dy in range(-1, scale + 1):
-            for dx in range(-1, scale + 1):
-                steps = zip(nodes, (dy, dx), chunks.shape, strict=False)
-                at = (np.clip(np.arange(count) * scale + step, 0, last - 1) for count, step, last in steps)
-                part = chunks[np.ix_(*at)]
-                low, high = np.fmin(low, part[..., 0]), np.fmax(high, part[..., 1])
-        void = low > high
-        return np.stack([np.where(void, everywhere[0], low), np.where(void, everywhere[1], high)], axis=-1)
-
     def _error(self, key: NodeKey) -> float:
-        table = self.pyramid.node_bounds(key.level)
-        if table is None:
+        if self._ranges is None:
             return 0.0
-        scale = self.grid.node_size // CHUNK
-        part = table[key.y * scale : (key.y + 1) * scale, key.x * scale : (key.x + 1) * scale, 2]
-        return float(np.nanmax(part)) if np.isfinite(part).any() else 0.0
+        return float(self._ranges.over(key.level, np.array([key.y]), np.array([key.x]))[0, 2])
 
     def close(self) -> None:
         """Stop loading and give the memory back."""

@@ -10,8 +10,9 @@ from weakref import WeakKeyDictionary
 
 from numpy.typing import NDArray
 
-from orogen.errors import BudgetError
+from orogen.errors import BudgetError, DeviceLostError, GpuError
 from orogen.gpu import Buffer, Gpu
+from orogen.streaming.faults import Faults
 from orogen.streaming.loader import Loader
 
 K = TypeVar("K", bound=Hashable)
@@ -34,10 +35,12 @@ class PageStore(Generic[K]):
         *,
         memory: int = 64 << 20,
         threads: int = 2,
+        faults: Faults | None = None,
     ) -> None:
         """`make` turns a key into at most `page_bytes` bytes (a multiple of 4), in `threads` threads.
 
-        `memory`: bytes of the buffer at most. Raises BudgetError where that is less than a page.
+        `memory`: bytes of the buffer at most. `faults`: where failures are noted. Raises BudgetError where the memory
+        is less than a page.
         """
         self._gpu = gpu
         self._name = name
@@ -50,10 +53,12 @@ class PageStore(Generic[K]):
         self._slots: OrderedDict[K, int] = OrderedDict()
         self._wishes: WeakKeyDictionary[object, list[K]] = WeakKeyDictionary()
         self._wanted: frozenset[K] = frozenset()
-        self._loader: Loader[K, bytes | NDArray[Any]] = Loader(make, threads=threads, ahead=_AHEAD)
         self._count = min(_FIRST, self.capacity)
         self._free = list(range(self._count))[::-1]
-        self._buffer = self._allocated()
+        self._buffer = self._allocated(self._count)
+        self._loader: Loader[K, bytes | NDArray[Any]] = Loader(
+            make, threads=threads, ahead=_AHEAD, name=name, faults=faults
+        )
 
     @property
     def buffer(self) -> Buffer:
@@ -77,8 +82,13 @@ class PageStore(Generic[K]):
 
     @property
     def failed(self) -> Mapping[K, BaseException]:
-        """Wanted pages that could not be made, and why."""
+        """Wanted pages that could not be made or uploaded so far, and why."""
         return self._loader.failed
+
+    @property
+    def retry_in(self) -> float | None:
+        """Seconds until a page that failed is made again; None where none has failed."""
+        return self._loader.retry_in
 
     def want(self, keys: Iterable[K], owner: object | None = None) -> None:
         """Replace the pages that `owner` (a view) wants, the most important first; those without room are left out.
@@ -95,14 +105,27 @@ class PageStore(Generic[K]):
         self._loader.want([key for key in listed if key not in self._slots])
 
     def pump(self, budget: int) -> int:
-        """Upload pages of at most `budget` bytes (one at least); returns the bytes uploaded."""
+        """Upload pages of at most `budget` bytes (one at least); returns the bytes uploaded.
+
+        A page that finds no memory or whose upload fails is made again later.
+        """
         done = 0
         while not done or done + self.page_bytes <= budget:
             taken = self._loader.take(1)
             if not taken:
                 break
             ((key, page),) = taken
-            self._gpu.write(self._buffer_for(key), page, self._slots[key] * self.page_bytes)
+            try:
+                buffer = self._buffer_for(key)
+                self._gpu.write(buffer, page, self._slots[key] * self.page_bytes)
+            except DeviceLostError:
+                raise
+            except GpuError as error:
+                if key in self._slots:
+                    self._free.append(self._slots.pop(key))
+                self._loader.fail(key, error)
+                continue
+            self._loader.done(key)
             done += len(page) if isinstance(page, bytes) else page.nbytes
         return done
 
@@ -123,24 +146,30 @@ class PageStore(Generic[K]):
     def _buffer_for(self, key: K) -> Buffer:
         """The buffer, with a slot for the page."""
         if key not in self._slots:
+            victim = None if self._free else next((old for old in self._slots if old not in self._wanted), None)
             if not self._free and self._count < self.capacity:
-                self._grow(min(2 * self._count, self.capacity))
+                try:
+                    self._grow(min(2 * self._count, self.capacity))
+                except GpuError as error:
+                    # what is not wanted goes sooner then
+                    if victim is None or isinstance(error, DeviceLostError):
+                        raise
             if not self._free:
                 # no more pages are wanted than there are slots
-                victim = next(old for old in self._slots if old not in self._wanted)
+                assert victim is not None
                 self._free.append(self._slots.pop(victim))
             self._slots[key] = self._free.pop()
         return self._buffer
 
     def _grow(self, count: int) -> None:
         old, kept = self._buffer, self._count * self.page_bytes
-        self._free += range(count - 1, self._count - 1, -1)
-        self._count = count
-        self._buffer = self._allocated()
+        buffer = self._allocated(count)
         encoder = self._gpu.encoder(f"{self._name} grows")
-        encoder.copy_buffer_to_buffer(old.raw, 0, self._buffer.raw, 0, kept)
+        encoder.copy_buffer_to_buffer(old.raw, 0, buffer.raw, 0, kept)
         self._gpu.submit(encoder)
+        self._free += range(count - 1, self._count - 1, -1)
+        self._count, self._buffer = count, buffer
 
-    def _allocated(self) -> Buffer:
-        size = self._count * self.page_bytes
+    def _allocated(self, count: int) -> Buffer:
+        size = count * self.page_bytes
         return self._gpu.buffer(self._name, size, "STORAGE|COPY_SRC|COPY_DST", f"{self._name} pages")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orogen.streaming.layer import Layer
+from orogen.streaming.retry import steadily
 from orogen.streaming.tiles import without_holes
 
 Ints = NDArray[np.int64]
@@ -78,8 +79,11 @@ class Samples:
     def window(self, rows: slice, cols: slice) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
         """(rows, columns) metres of a window inside the raster, and where they are valid: None for everywhere.
 
-        Voids are filled as in the node atlas. Raises what the pyramid raises.
+        Voids are filled as in the node atlas. Raises what the pyramid raises, where it does so time and again.
         """
+        return steadily(lambda: self._window(rows, cols))
+
+    def _window(self, rows: slice, cols: slice) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
         if self.covered:
             return self._tiles.window(0, rows, cols), None
         # voids are filled from their neighbours

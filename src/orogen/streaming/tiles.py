@@ -10,6 +10,7 @@ import threading
 from collections import OrderedDict
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,38 @@ BLOCK = 16
 
 _Chunk = tuple[int, int, int, str]
 """Level, row and column of a chunk, and what is in it: "exact" samples, an "estimate" of them, or their "coverage"."""
+
+
+class Tiles(Protocol):
+    """What nodes are made from."""
+
+    def readable(self, level: int) -> bool:
+        """Whether a level can be read now, exactly or as an estimate."""
+
+    def window(self, level: int, rows: slice, cols: slice) -> NDArray:
+        """Texels of a readable level; the window must lie inside it."""
+
+    def coverage(self, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The valid part, 0 to 255, of the texels of a window whose heights have been read."""
+
+
+@dataclass(frozen=True)
+class EstimatedTiles:
+    """The coarse levels of a pyramid as estimates, whether or not they are built: for when the store fails."""
+
+    pyramid: Pyramid
+
+    def readable(self, level: int) -> bool:
+        """Whether there is an estimate of a level."""
+        return level >= self.pyramid.estimate_level
+
+    def window(self, level: int, rows: slice, cols: slice) -> NDArray:
+        """Texels of an estimated level. Raises what the pyramid raises."""
+        return self.pyramid.read_estimate(level, rows, cols)
+
+    def coverage(self, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The valid part, 0 or 255, of texels."""
+        return np.isfinite(heights) * np.uint8(255)
 
 
 class DecodedTiles:
@@ -52,6 +85,10 @@ class DecodedTiles:
 
         Raises what the pyramid raises.
         """
+        size = (rows.stop - rows.start) * (cols.stop - cols.start)
+        if size >= CHUNK * CHUNK and not self._pyramid.chunked:
+            # a node: what it has of the chunks around is little. Small windows are asked for again and again
+            return self._pyramid.read(level, rows, cols)
         return self._gathered(level, rows, cols, "exact" if self._pyramid.available(level) else "estimate")
 
     def coverage(self, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -139,7 +176,7 @@ class ColorNode:
     """(side, side, 4) sRGB with the alpha multiplied in (in linear light) and alpha, then its halves."""
 
 
-def height_node(tiles: DecodedTiles, pyramid: Pyramid, key: NodeKey, size: int, covered: bool) -> HeightNode:
+def height_node(tiles: Tiles, pyramid: Pyramid, key: NodeKey, size: int, covered: bool) -> HeightNode:
     """Read a node of `size` texels with its border; no coverage where the layer is `covered` everywhere.
 
     Raises what the pyramid raises.
@@ -173,7 +210,7 @@ def _block_ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack(ranges, axis=-1)
 
 
-def color_node(tiles: DecodedTiles, pyramid: Pyramid, key: NodeKey, size: int) -> ColorNode:
+def color_node(tiles: Tiles, pyramid: Pyramid, key: NodeKey, size: int) -> ColorNode:
     """Read a colour node of `size` texels with its border and make its mip levels. Raises what the pyramid raises."""
     shape = level_shape(pyramid.grid.shape, key.level)
     rows, cols = _window(key, size, COLOR_BORDER, shape)
@@ -216,7 +253,7 @@ def _extended(values: NDArray, axis: int, index: NDArray[np.int64], linear: bool
 
 
 def without_holes(
-    tiles: DecodedTiles, pyramid: Pyramid, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]
+    tiles: Tiles, pyramid: Pyramid, level: int, rows: slice, cols: slice, heights: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Heights for invalid texels: the mean of the valid ones of the 8 neighbours, else of the finest coarser level."""
     heights = filled(heights)

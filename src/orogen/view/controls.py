@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ LONGEST_STEP = 0.1
 """Seconds of one step at most: after a stall the camera goes on where it was."""
 DEGREES_PER_HEIGHT = 120.0
 """Degrees turned by a drag over the window's height."""
+DEGREES_PER_NOTCH = 10.0
+"""Degrees turned by a notch (100 units) of the wheel sideways."""
 ZOOM_STEP = math.log(1.25)
 """Natural logarithm of the factor on the distance for one notch of the wheel (100 units)."""
 REACH = 20.0
@@ -77,11 +79,25 @@ class Controls:
         self.pixel_ratio = pixel_ratio
         self._home = camera
         self._to_north = False
+        self._goal: Camera | None = None
 
     @property
     def moving(self) -> bool:
         """Whether the camera goes on by itself, so that the next picture has to be drawn without an event."""
-        return self._to_north
+        return self._to_north or self._goal is not None
+
+    def go_to(self, camera: Camera) -> None:
+        """Move to another camera, smoothly; at once between perspective and parallel projection."""
+        self._to_north = False
+        if bool(camera.orthographic) != bool(self.camera.orthographic):
+            self.camera, self._goal = camera, None
+        else:
+            self._goal = camera
+
+    def stand_on(self, ground: Ground) -> None:
+        """Take another ground, such as one of another exaggeration, and keep above it."""
+        self.ground = ground
+        self._place(self.camera)
 
     def handle(self, event: Event) -> bool:
         """Take an event; says whether it meant something, so that a picture has to be drawn."""
@@ -93,16 +109,19 @@ class Controls:
             self._to_north = True
             return True
         if kind == "key_down" and event["key"] == "Home":
-            self.camera = self._home
-            self._to_north = False
+            self.go_to(self._home)
             return True
+        if kind in ("pointer_down", "wheel", "double_click"):
+            self._goal = None  # a hand on the wheel
         return False
 
     def advance(self, dt: float) -> Camera:
         """Let `dt` seconds pass; gives the camera to draw with."""
+        if self._goal:
+            self._approach(self._goal, part_of(min(dt, LONGEST_STEP)))
         if self._to_north:
             left = -((self.camera.heading + 180) % 360 - 180)
-            self._turn(left if abs(left) < 0.05 else left * _part(min(dt, LONGEST_STEP)), 0.0, self._north_pivot())
+            self._turn(left if abs(left) < 0.05 else left * part_of(min(dt, LONGEST_STEP)), 0.0, self._north_pivot())
             self._to_north = self.camera.heading % 360 != 0
         return self.camera
 
@@ -117,6 +136,29 @@ class Controls:
         half = ortho / 2 if ortho else math.tan(math.radians(self.camera.fov) / 2)
         across = (2 * x / width - 1) * half * width / height * right + (1 - 2 * y / height) * half * up
         return (across, forward) if ortho else (np.zeros(3), across + forward)
+
+    def _approach(self, goal: Camera, part: float) -> None:
+        """Go a part of the way to a camera, and arrive where what is left would not be seen."""
+        now = self.camera
+        way = self._from_camera(goal.x, goal.y, goal.z)
+        turn = (goal.heading - now.heading + 180) % 360 - 180
+        height = max(abs(now.z - self._level(now)), self.ground.clearance)
+        angles = max(abs(turn), abs(goal.pitch - now.pitch), abs(goal.roll - now.roll), abs(goal.fov - now.fov))
+        zoom = math.log(goal.orthographic / now.orthographic) if goal.orthographic and now.orthographic else 0.0
+        if np.linalg.norm(way) < 1e-3 * height and angles < 0.02 and abs(zoom) < 1e-3:
+            self._goal = None
+            self._place(goal)
+            return
+        wide = now.orthographic * math.exp(zoom * part) if now.orthographic else None
+        turned = now.moved(
+            heading=(now.heading + turn * part) % 360, pitch=now.pitch + (goal.pitch - now.pitch) * part,
+            roll=now.roll + (goal.roll - now.roll) * part, fov=now.fov + (goal.fov - now.fov) * part, orthographic=wide,
+        )  # fmt: skip
+        self._place(displaced(turned, self.ground.grid, way * part))
+
+    def _level(self, camera: Camera) -> float:
+        ground = self.ground.drawn_height(camera.x, camera.y)
+        return ground if math.isfinite(ground) else 0.0
 
     def _north_pivot(self) -> Vector:
         return np.zeros(3)
@@ -167,8 +209,8 @@ class Controls:
 
 class OrbitControls(Controls):
     """Around the terrain: drag to pan along the ground, drag with the right or middle button (or Shift, Control) to
-    turn about the point under the pointer, wheel to zoom towards it, double click to go there, N for north up, Home
-    to go back to the start.
+    turn about the point under the pointer, wheel or two fingers to zoom towards it and, sideways, to turn about it,
+    double click to go there, N for north up, Home to go back to the start.
     """
 
     def __init__(self, camera: Camera, ground: Ground, size: tuple[float, float], pixel_ratio: float = 1.0) -> None:
@@ -199,13 +241,16 @@ class OrbitControls(Controls):
         elif kind == "pointer_up":
             self._drag = None
         elif kind in ("wheel", "double_click"):
-            notches = event["dy"] / 100 if kind == "wheel" else -4.0
             point = self._under(event["x"], event["y"])
             if point is None:
                 return False
             self._velocity[:] = 0
-            self._zoom_point = point
-            self._zoom += notches * ZOOM_STEP
+            if kind == "wheel" and abs(event["dx"]) > abs(event["dy"]):
+                # of a swipe only its greater part counts: a hand never goes quite straight
+                self._turn(event["dx"] / 100 * DEGREES_PER_NOTCH, 0.0, point)
+            else:
+                self._zoom_point = point
+                self._zoom += ZOOM_STEP * (event["dy"] / 100 if kind == "wheel" else -4.0)
         else:
             return False
         return True
@@ -216,18 +261,18 @@ class OrbitControls(Controls):
         elapsed, dt = dt, min(dt, LONGEST_STEP)
         if self._drag:
             if elapsed > 0:
-                self._velocity += (self._swept / elapsed - self._velocity) * _part(elapsed, SETTLING / 3)
+                self._velocity += (self._swept / elapsed - self._velocity) * part_of(elapsed, SETTLING / 3)
         elif self._velocity.any():
             # the way of a velocity that decays exponentially
-            east, north, heading, pitch = (self._velocity * SETTLING * _part(dt)).tolist()
+            east, north, heading, pitch = (self._velocity * SETTLING * part_of(dt)).tolist()
             self._shift(np.array([east, north, 0.0]))
             self._turn_held(heading, pitch)
-            self._velocity *= 1 - _part(dt)
+            self._velocity *= 1 - part_of(dt)
             if self._is_slow():
                 self._velocity[:] = 0
         self._swept[:] = 0
         if self._zoom:
-            self._zoom_step(self._zoom if abs(self._zoom) < 0.002 else self._zoom * _part(dt))
+            self._zoom_step(self._zoom if abs(self._zoom) < 0.002 else self._zoom * part_of(dt))
         return self.camera
 
     def _grab(self, event: Event) -> None:
@@ -296,78 +341,6 @@ class OrbitControls(Controls):
         return np.zeros(3) if middle is None else middle
 
 
-class FlyControls(Controls):
-    """Through the air: W, A, S, D forwards, left, back and right, E up and Q down, faster with Shift and the higher
-    above the ground; drag to look around, wheel to change the speed, N for north, Home to go back to the start.
-    """
-
-    AXES: ClassVar[dict[str, tuple[int, int]]] = {
-        "d": (0, 1), "a": (0, -1), "e": (1, 1), "q": (1, -1), "w": (2, 1), "s": (2, -1)
-    }  # fmt: skip
-    """Axis (right, up, forward) and sign of the movement keys."""
-
-    def __init__(self, camera: Camera, ground: Ground, size: tuple[float, float], pixel_ratio: float = 1.0) -> None:
-        super().__init__(camera, ground, size, pixel_ratio)
-        self.speed = 1.0
-        """Speed in heights over the ground a second."""
-        self._keys: set[str] = set()
-        self._last: tuple[float, float] | None = None
-        self._velocity = np.zeros(3)  # in heights over the ground a second: right, up, forward
-
-    @property
-    def moving(self) -> bool:
-        """Whether a key is held or the camera still glides."""
-        return super().moving or bool(self._keys & self.AXES.keys()) or bool(self._velocity.any())
-
-    def handle(self, event: Event) -> bool:
-        """Take an event; says whether it meant something."""
-        if super().handle(event):
-            return True
-        kind = event["event_type"]
-        if kind in ("key_down", "key_up"):
-            key = event["key"] if event["key"] == "Shift" else event["key"].lower()
-            if key != "Shift" and key not in self.AXES:
-                return False
-            (self._keys.add if kind == "key_down" else self._keys.discard)(key)
-        elif kind == "pointer_down":
-            self._last = event["x"], event["y"]
-            self._to_north = False
-        elif kind == "pointer_move" and self._last:
-            per_pixel = DEGREES_PER_HEIGHT / max(self.size[1], 1.0)
-            dx, dy = event["x"] - self._last[0], event["y"] - self._last[1]
-            self._last = event["x"], event["y"]
-            self._turn(dx * per_pixel, -dy * per_pixel, np.zeros(3))
-        elif kind == "pointer_up":
-            self._last = None
-        elif kind == "wheel":
-            self.speed = min(max(self.speed * math.exp(-event["dy"] / 100 * ZOOM_STEP), 0.05), 20.0)
-        else:
-            return False
-        return True
-
-    def advance(self, dt: float) -> Camera:
-        """Let `dt` seconds pass: fly on."""
-        super().advance(dt)
-        dt = min(dt, LONGEST_STEP)
-        wanted = np.zeros(3)
-        for key in self._keys & self.AXES.keys():
-            axis, sign = self.AXES[key]
-            wanted[axis] += sign * self.speed * (4 if "Shift" in self._keys else 1)
-        self._velocity += (wanted - self._velocity) * _part(dt)
-        if not wanted.any() and np.abs(self._velocity).max() < 1e-3:
-            self._velocity[:] = 0
-        if self._velocity.any():
-            right, _, forward = self.camera.basis
-            across, up, along = self._velocity * self._height_over_ground() * dt
-            self._step(across * right + along * forward + np.array([0.0, 0.0, up]))
-        return self.camera
-
-    def _height_over_ground(self) -> float:
-        ground = self.ground.drawn_height(self.camera.x, self.camera.y)
-        height = self.camera.z - (ground if math.isfinite(ground) else 0.0)
-        return max(height, 5 * self.ground.clearance)
-
-
-def _part(dt: float, constant: float = SETTLING) -> float:
+def part_of(dt: float, constant: float = SETTLING) -> float:
     """The part of the way to a goal that is gone in `dt` seconds."""
     return 1 - math.exp(-dt / constant)

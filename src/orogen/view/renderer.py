@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,7 @@ from orogen.raster.surface import Surface
 from orogen.shading.shade import Samples, Shading
 from orogen.shading.style import Style
 from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.faults import Faults
 from orogen.streaming.settings import ClipmapSettings
 
 TOGETHER = 4
@@ -98,24 +100,28 @@ class Renderer:
         settings: Mapping[str, Any] | None = None,
         clipmap: ClipmapSettings | None = None,
         rasterizer: str = "auto",
+        faults: Faults | None = None,
     ) -> None:
-        """`name` and `settings`: the algorithm and values of its settings. `rasterizer`: see `Rasterizer`."""
+        """`name` and `settings`: the algorithm and values of its settings. `rasterizer`: see `Rasterizer`.
+
+        `faults`: where what goes wrong is noted.
+        """
         kind = algorithm(name)
         chosen = make_settings(name, settings or {})
         self.gpu = gpu
-        self.clipmap = Clipmap(gpu, heights, colors, clipmap)
-        self.view = self.clipmap.view()
-        self.rasterizer = Rasterizer(self.clipmap, rasterizer)
-        self.shading = Shading(
-            gpu,
-            self.clipmap.layout,
-            self.rasterizer.read_layout,
-            [RASTER, *SEARCH],
-            self.clipmap.constants,
-            image=colors is not None,
-        )
-        self.timer = gpu.timer()
+        self.clipmap = Clipmap(gpu, heights, colors, clipmap, faults)
         try:
+            self.view = self.clipmap.view()
+            self.rasterizer = Rasterizer(self.clipmap, rasterizer)
+            self.shading = Shading(
+                gpu,
+                self.clipmap.layout,
+                self.rasterizer.read_layout,
+                [RASTER, *SEARCH],
+                self.clipmap.constants,
+                image=colors is not None,
+            )
+            self.timer = gpu.timer()
             self.algorithm = kind(self.clipmap, chosen)
             self._state = self.algorithm.view()
         except BaseException:
@@ -127,6 +133,33 @@ class Renderer:
         self._drawn = 0
         self._shown: tuple[Any, ...] = ()
         self._frame: Frame | None = None
+        self._owns_clipmap = True
+
+    def beside(self, name: str, settings: Mapping[str, Any] | None = None) -> Renderer:
+        """Another view of the same terrain, such as the other half of a split window; close it before this one.
+
+        It shares what is resident, and has its own algorithm, picture and times.
+        """
+        other = copy.copy(self)
+        other._owns_clipmap = False
+        other._targets, other._drawn, other._shown, other._frame = None, 0, (), None
+        other.draws = ()
+        other.algorithm = algorithm(name)(self.clipmap, make_settings(name, settings or {}))
+        other._state = other.algorithm.view()
+        # the rasteriser's queues and visibility are those of one picture
+        other.rasterizer = self.rasterizer.another()
+        other.timer = self.gpu.timer()
+        other.view = self.clipmap.view()
+        return other
+
+    @property
+    def shown(self) -> tuple[Frame, Surface] | None:
+        """The frame of the latest sample and its surface buffer; None before the first."""
+        return (self._frame, self._targets[0]) if self._frame and self._targets else None
+
+    def statistics(self) -> Statistics:
+        """What the latest frame took; waits for the GPU."""
+        return self._state.statistics()
 
     @property
     def device(self) -> wgpu.GPUDevice:
@@ -143,6 +176,20 @@ class Renderer:
         self._state = self.algorithm.view()
         self.draws = ()
         self._shown = ()
+
+    def refresh(self) -> None:
+        """Forget what a frame that was broken off may have left half done; resident nodes stay."""
+        self._state = self.algorithm.view()
+        self.rasterizer.forget()
+        self.timer = self.gpu.timer()
+        self.draws = ()
+        self._shown = ()
+
+    @property
+    def retry_in(self) -> float | None:
+        """Seconds until something that failed to load is tried again; None where nothing has failed."""
+        waits = [self.clipmap.retry_in, self.algorithm.pages.retry_in if self.algorithm.pages else None]
+        return min((wait for wait in waits if wait is not None), default=None)
 
     def render(
         self,
@@ -259,7 +306,10 @@ class Renderer:
                 target.destroy()
         if self.algorithm.pages:
             self.algorithm.pages.close()
-        self.clipmap.close()
+        if self._owns_clipmap:
+            self.clipmap.close()
+        else:
+            self.clipmap.drop(self.view)
 
     def _prepare(self, camera: Camera, size: tuple[int, int], scene: Scene) -> Frame:
         return self.view.frame_for(

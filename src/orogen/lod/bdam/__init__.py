@@ -32,7 +32,7 @@ class Bdam(Algorithm):
         library = open_library(source, diamonds.n, lambda draft: Builder(samples, diamonds, draft).run(), self)
         self.patches = Patches(samples, diamonds, library)
         self.pages = self._store = PageStore(
-            clipmap.gpu, "bdam", self.patches.page_bytes, self.patches, memory=settings.memory
+            clipmap.gpu, "bdam", self.patches.page_bytes, self.patches, memory=settings.memory, faults=clipmap.faults
         )
         self._module = meshes.module(clipmap)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from orogen.keys import level_shape
 from orogen.lod.quadtree import Ints, PatchTree
 from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.retry import steadily
 
 F32 = NDArray[np.float32]
 Bounds = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -31,7 +32,8 @@ class Ground:
         self.tree = tree
         self.bits = pyramid.estimate_level
         rows, columns = level_shape(tree.grid.shape, self.bits)
-        heights: F32 = clipmap.heights.tiles.window(self.bits, slice(0, rows), slice(0, columns)).astype(np.float32)
+        tiles, whole = clipmap.heights.tiles, (slice(0, rows), slice(0, columns))
+        heights: F32 = steadily(lambda: tiles.window(self.bits, *whole)).astype(np.float32)
         heights[np.isnan(heights)] = sum(pyramid.height_range) / 2
         if self.bits:
             # a cell's corners lie between the centres of coarser texels

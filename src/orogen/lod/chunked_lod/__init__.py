@@ -33,7 +33,7 @@ class ChunkedLod(Algorithm):
         survey = Survey(Samples(clipmap.heights), tree, settings.chunk_size)
         self.maker = ChunkMaker(survey, settings.base_error)
         self.pages = self._store = PageStore(
-            clipmap.gpu, "chunked_lod", self.maker.page_bytes, self.maker, memory=settings.memory
+            clipmap.gpu, "chunked_lod", self.maker.page_bytes, self.maker, memory=settings.memory, faults=clipmap.faults
         )
         self._module = meshes.module(clipmap)
 

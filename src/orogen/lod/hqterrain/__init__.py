@@ -160,7 +160,7 @@ class HqTerrain(Algorithm):
         tree = PatchTree(clipmap.grid, 1)
         self.maker = TileMaker(Ground(Samples(clipmap.heights), tree), tree, settings.tile_size)
         self.pages = self.store = PageStore(
-            clipmap.gpu, "hqterrain", self.maker.page_bytes, self.maker, memory=settings.memory
+            clipmap.gpu, "hqterrain", self.maker.page_bytes, self.maker, memory=settings.memory, faults=clipmap.faults
         )
         self.bytes_sent = 0
         """Bytes of vertices and lists of triangles sent to the GPU so far, beside tiles' coarsest meshes."""

@@ -1,0 +1,259 @@
+"""Draws for all pages in one thread: each has its own window on the same terrain, and they share what is resident."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from typing import Any
+
+from orogen.camera import Camera
+from orogen.errors import BudgetError, DeviceLostError, OrogenError
+from orogen.grid import Grid
+from orogen.pyramid.contract import Pyramid
+from orogen.shading.style import Style
+from orogen.view.opening import Data
+from orogen.view.quality import Quality
+from orogen.view.renderer import Renderer, Scene
+from orogen.view.serve.canvas import RemoteCanvas
+from orogen.view.serve.client import Client
+from orogen.view.session import Session
+from orogen.view.window import SHORTEST_REST, Window
+
+log = logging.getLogger("orogen")
+
+MOST_FPS = 60.0
+"""Pictures a second for one page, at most."""
+
+
+class Shared:
+    """A data set for one page: everything is the terrain's, but for a view of its own. As `Session` takes it."""
+
+    def __init__(self, data: Data) -> None:
+        self._data = data
+        self._base: Renderer | None = None
+        self._own: Renderer | None = None
+
+    @property
+    def name(self) -> str:
+        """What the page shows as the name: without the folders of this machine."""
+        return PurePath(self._data.name.replace("\\", "/")).name or self._data.name
+
+    @property
+    def attribution(self) -> str:
+        """Who is to be named beside the picture; may be ""."""
+        return self._data.attribution
+
+    @property
+    def grid(self) -> Grid:
+        """Georeference of the heights."""
+        return self._data.grid
+
+    @property
+    def heights(self) -> Pyramid:
+        """The pyramid of heights."""
+        return self._data.heights
+
+    @property
+    def colors(self) -> Pyramid | None:
+        """The pyramid of the draped image, or None."""
+        return self._data.colors
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest height (m)."""
+        return self._data.height_range
+
+    @property
+    def renderer(self) -> Renderer:
+        """A view beside the terrain's own; another one after the device was lost."""
+        try:
+            return self._beside(self._data.renderer)
+        except DeviceLostError:
+            self._data.revive()
+            return self._beside(self._data.renderer)
+
+    def _beside(self, base: Renderer) -> Renderer:
+        if self._own is None or base is not self._base:
+            chosen = base.algorithm
+            values = {name: getattr(chosen.settings, name) for name in chosen.settings.__dataclass_fields__}
+            self._base, self._own = base, base.beside(chosen.name, values)
+        return self._own
+
+    def height_at(self, x: Any, y: Any) -> Any:
+        """Height (m) at x, y in the data's CRS, numbers or arrays; NaN where there is none."""
+        return self._data.height_at(x, y)
+
+    def revive(self) -> bool:
+        """Let go of a device that was lost; whether it was."""
+        return self._data.revive()
+
+    def close(self) -> None:
+        """Give the view back; the terrain stays."""
+        own, self._own = self._own, None
+        # what belonged to a device that was lost went with it
+        if own and self._data.renderer is self._base:
+            own.close()
+
+
+@dataclass(frozen=True)
+class Look:
+    """How every page begins."""
+
+    style: Style = field(default_factory=Style)
+    """What pictures look like."""
+    scene: Scene = field(default_factory=Scene)
+    """How the terrain is put before the camera."""
+    camera: Camera | None = None
+    """Where the camera is; None shows all."""
+    panel: bool = True
+    """Whether there is a panel."""
+
+
+class DrawingQuality(Quality):
+    """Goes by what drawing takes: how long a page takes to show pictures says nothing on that."""
+
+    cost = 0.0
+    """Milliseconds that the latest picture took to draw and to read back."""
+
+    def took(self, interval: float, work: float) -> None:
+        """Learn from a moving frame."""
+        super().took(max(work, self.cost), max(work, self.cost))
+
+
+class View:
+    """A page's window. Used by the drawing thread alone."""
+
+    def __init__(self, client: Client, data: Data, look: Look) -> None:
+        assert client.size
+        self.client = client
+        self.canvas = RemoteCanvas()
+        self._size = client.size
+        self.canvas.resize(self._size.width, self._size.height, self._size.ratio)
+        session = Session(
+            Shared(data), look.style, look.scene, camera=look.camera, owned=True, files=False
+        )  # fmt: skip
+        try:
+            self.window = Window(session, canvas=self.canvas, panel=look.panel)
+        except BaseException:
+            session.close()
+            raise
+        self._quality = session.quality = DrawingQuality()
+        self._due = 0.0
+        self._retry = float("inf")
+
+    def step(self, now: float) -> float:
+        """Hear the page and draw for it where it is time; gives the time (s) of the next step, inf: on an event."""
+        size = self.client.size
+        if size and size != self._size:
+            self._size = size
+            self.canvas.resize(size.width, size.height, size.ratio)
+        self.canvas.take(self.client.take())
+        if now >= self._retry:
+            self.canvas.wanted = True
+        if self.canvas.wanted:
+            self.client.resting = False
+        if self.canvas.wanted and self.client.ready:
+            if now < self._due:
+                return self._due
+            self._due = now + 1 / MOST_FPS
+            start = time.perf_counter()
+            picture = self.canvas.picture()
+            self._quality.cost = 1000 * (time.perf_counter() - start)
+            if self.window.error:
+                raise self.window.error
+            self.client.resting = not self.canvas.wanted
+            if picture is not None:
+                self.client.show(picture)
+            wait = self.window.session.retry_in
+            self._retry = float("inf") if wait is None else time.monotonic() + max(wait, SHORTEST_REST)
+        elif self.window.error:
+            raise self.window.error
+        if self.canvas.wanted:
+            return self._due if self.client.ready else float("inf")
+        return self._retry
+
+    def close(self) -> None:
+        """Give everything back."""
+        self.window.close()
+
+
+class Drawing:
+    """The loop that draws."""
+
+    def __init__(self, data: Data, look: Look) -> None:
+        self._data, self._look = data, look
+        self._changed = threading.Event()
+        self._lock, self._running = threading.Lock(), threading.Lock()
+        self._clients: list[Client] = []
+        self._views: dict[Client, View] = {}
+        self._stopped = False
+
+    def wake(self) -> None:
+        """Look at all pages again; from any thread."""
+        self._changed.set()
+
+    def add(self, client: Client) -> None:
+        """Draw for a page from now on, until it is gone; from any thread."""
+        with self._lock:
+            self._clients.append(client)
+        self.wake()
+
+    def stop(self) -> None:
+        """End `run`; from any thread."""
+        self._stopped = True
+        self.wake()
+
+    def run(self) -> None:
+        """Draw until stopped; nothing is done while nothing changes."""
+        with self._running:
+            try:
+                while not self._stopped:
+                    self._changed.clear()
+                    wait = self._turn() - time.monotonic()
+                    if wait > 0:
+                        # bounded, because on Windows a wait without an end keeps Ctrl-C from being heard
+                        self._changed.wait(min(wait, 1.0))
+            finally:
+                for client in list(self._views):
+                    self._drop(client)
+
+    def join(self) -> None:
+        """Wait until `run` has ended."""
+        with self._running:
+            pass
+
+    def _turn(self) -> float:
+        """A step for each page; gives the time of the next one."""
+        with self._lock:
+            clients = list(self._clients)
+        due = float("inf")
+        for client in clients:
+            if client.gone:
+                self._drop(client)
+                continue
+            if client.size is None:
+                continue
+            try:
+                if client not in self._views:
+                    self._views[client] = View(client, self._data, self._look)
+                due = min(due, self._views[client].step(time.monotonic()))
+            except Exception as error:
+                # one page's trouble is not the others'
+                log.error("a page was closed: %s", error, exc_info=not isinstance(error, OrogenError))
+                full = isinstance(error, BudgetError)
+                client.fail("there is no memory left for this view" if full else "this view has failed")
+                self._drop(client)
+        return due
+
+    def _drop(self, client: Client) -> None:
+        with self._lock:
+            self._clients = [other for other in self._clients if other is not client]
+        view = self._views.pop(client, None)
+        if view:
+            try:
+                view.close()
+            except Exception as error:
+                log.warning("closing a page's view: %s", error)

@@ -1,0 +1,163 @@
+"""The sections of the panel that make something: measures, flights, pictures."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orogen.errors import SettingsError
+from orogen.view.flight import Flight
+from orogen.view.image import write_color
+from orogen.view.measure import distance_text
+from orogen.view.player import Exporter
+from orogen.view.widgets import number_of, two_numbers
+
+if TYPE_CHECKING:
+    from orogen.view.panel import ViewPanel
+
+
+def draw_measure(panel: ViewPanel) -> None:
+    """Distances and profiles along clicked points."""
+    w = panel.widgets
+
+    def put(on: bool) -> None:
+        panel.measuring = on
+
+    def clear() -> None:
+        panel.points, panel.profile = [], None
+
+    w.switch(
+        "click points", panel.measuring, put, "Every click into the picture adds a point of a line; Escape ends it."
+    )
+    w.button("clear", clear, beside=True)
+    if panel.profile:
+        up, down = panel.profile.climb
+        straight = panel.points[-1][2] - panel.points[0][2]
+        w.remark(
+            f"{distance_text(panel.profile.length)} over the ground, {straight:+.0f} m in height, "
+            f"{up:.0f} m up and {down:.0f} m down"
+        )
+    elif panel.measuring:
+        w.remark("Click two or more points on the terrain.")
+
+
+def draw_profile(panel: ViewPanel, note_window: Callable[[], None]) -> None:
+    """The window with the profile along the measured line."""
+    from imgui_bundle import implot
+
+    imgui, profile = panel.imgui, panel.profile
+    assert profile
+    panel.marked = None
+    shown, open = imgui.begin("Height profile###profile", True, imgui.WindowFlags_.no_collapse)
+    flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+    if shown and implot.begin_plot("##profile", (-1.0, -1.0), flags):
+        unit, name = (1000.0, "km") if profile.length >= 10000 else (1.0, "m")
+        fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_highlight
+        implot.setup_axes(f"distance ({name})", "height (m)", fit, fit)
+        implot.plot_line("height", profile.distance / unit, profile.height)
+        if implot.is_plot_hovered():
+            at = float(np.clip(implot.get_plot_mouse_pos().x * unit, 0, profile.length))
+            number = int(np.argmin(np.abs(profile.distance - at)))
+            panel.marked = float(profile.points[number, 0]), float(profile.points[number, 1])
+            x, y = np.array([at / unit]), np.array([profile.height[number]])
+            implot.plot_scatter("here", x, y)
+            implot.annotation(x[0], y[0], (1, 1, 1, 1), (8, -8), True, f"{distance_text(at)}: {y[0]:.1f} m")
+        implot.end_plot()
+    note_window()
+    imgui.end()
+    if not open:
+        panel.points, panel.profile, panel.measuring = [], None, False
+
+
+def draw_flight(panel: ViewPanel) -> None:
+    """A flight: recorded or of keyframes, played, saved and written as a video."""
+    w, window, keys = panel.widgets, panel.window, panel.keyframes
+    session = window.session
+    if keys.recording:
+        w.button("stop recording", keys.stop)
+        w.remark(f"{len(keys.times)} keyframes, {keys.duration:.1f} s")
+    else:
+        w.button("record", lambda: keys.start(time.perf_counter()), "Keep what is flown from now on.")
+        w.button("add keyframe (K)", panel.add_keyframe, "Add this camera to the flight.", beside=True)
+        if "Add keyframe" in w.problems:
+            w.problem(w.problems["Add keyframe"])
+    shown = min(len(keys.cameras), 6)  # more of them scroll
+    panel.imgui.begin_child("keyframes", (0.0, 28.0 * shown + 1))
+    for number, camera in enumerate(list(keys.cameras)):
+        panel.imgui.push_id(number)
+        w.text(
+            f"##t{number}", f"{keys.times[number]:.2f}", lambda text, n=number: keys.set_time(n, number_of(text)),  # type: ignore[misc]
+            "Seconds from the start; the keyframes after it move along.",
+        )  # fmt: skip
+        w.button(f"go##{number}", lambda c=camera: window.controls.go_to(c), "Go to this keyframe.", beside=True)  # type: ignore[misc]
+        w.button(
+            f"set##{number}", lambda n=number: keys.replace(n, window.controls.camera),  # type: ignore[misc]
+            "Put this camera in its place.", beside=True,
+        )  # fmt: skip
+        w.button(f"x##{number}", lambda n=number: keys.remove(n), "Take it out.", beside=True)  # type: ignore[misc]
+        panel.imgui.pop_id()
+    panel.imgui.end_child()
+    w.button("play", panel.play, "Fly the keyframes; a click or Escape stops.")
+    if not session.files:
+        return
+    w.text(
+        "save as", "", lambda text: keys.flight().save(text), "A file for orogen fly and for loading.", "flight.json"
+    )
+
+    def load(text: str) -> None:
+        flight = Flight.load(text.strip())
+        ex = session.scene.exaggeration
+        over = flight.over(
+            session.data.grid, session.data.height_range, exaggeration=ex, height_at=session.data.height_at
+        )
+        keys.load(over, ex)
+
+    w.text("load", "", load, "A flight file, or a built-in flight such as orbit or descent.", "flight.json or orbit")
+    if panel.exporter:
+        panel.imgui.progress_bar(panel.exporter.done)
+
+        def cancel() -> None:
+            if panel.exporter:
+                panel.exporter.cancel()
+            panel.exporter, panel.message = None, "No video was written."
+
+        w.button("cancel", cancel)
+        return
+
+    def export(text: str) -> None:
+        panel.exporter = Exporter(
+            session.renderer, panel.path(), os.path.expanduser(text.strip()), (1280, 720), 30.0, session.style,
+            session.scene,
+        )  # fmt: skip
+
+    w.text("video", "", export, "Writes the flight as a video of 1280 x 720 pixels, 30 frames a second.", "flight.mp4")
+    if "Write video" in w.problems:
+        w.problem(w.problems["Write video"])
+
+
+def draw_picture(panel: ViewPanel) -> None:
+    """A picture of any size, written as a file."""
+    w, session = panel.widgets, panel.window.session
+    size = panel.picture_size or tuple(
+        round(v * panel.window.canvas.get_pixel_ratio()) for v in panel.window.canvas.get_logical_size()
+    )
+
+    def resize(text: str) -> None:
+        width, height = (round(v) for v in two_numbers(text.lower().replace("x", " ")))
+        most = session.renderer.gpu.limits["max-texture-dimension-2d"]
+        if not (1 <= width <= most and 1 <= height <= most):
+            raise SettingsError(f"size: expected 1 to {most} pixels on each side, got {width}x{height}")
+        panel.picture_size = width, height
+
+    def write(text: str) -> None:
+        camera = panel.window.controls.camera
+        picture = session.renderer.render(camera, size, session.style, session.scene, samples=16)
+        write_color(os.path.expanduser(text.strip()), picture.color)
+        panel.message = f"{text.strip()} is written."
+
+    w.text("size", f"{size[0]} x {size[1]}", resize, "Width and height in pixels of the picture that is written.")
+    w.text("write to", "", write, "Writes what the camera sees, without the panel, as a PNG file.", "picture.png")

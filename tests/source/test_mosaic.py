@@ -1,0 +1,235 @@
+"""Several rasters as one, against one array that they were cut from."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from rasterio.merge import merge
+from rasterio.transform import Affine, from_origin
+from rasterio.warp import transform
+from scipy.interpolate import RegularGridInterpolator
+
+import orogen
+from orogen.errors import NoSampleError, SourceError
+from orogen.source import Source, open_colour, open_height, parts
+
+LEFT, TOP, STEP = 500_000.0, 5_000_000.0, 30.0
+
+
+def hills(rows: int, cols: int) -> NDArray[np.float64]:
+    y, x = np.indices((rows, cols))
+    return 1000 + 300 * np.sin(x / 40) * np.cos(y / 35) + x / 7
+
+
+def write(path: Path, data: NDArray[Any], row: int = 0, col: int = 0, step: float = STEP, **profile: Any) -> Path:
+    """A GeoTIFF in UTM whose first sample is (row, col) of the common grid."""
+    place = from_origin(LEFT + col * STEP, TOP - row * STEP, step, step)
+    profile = {"driver": "GTiff", "count": 1, "dtype": data.dtype, "crs": "EPSG:32633", "transform": place, **profile}
+    units = profile.pop("units", None)
+    with rasterio.open(path, "w", height=data.shape[0], width=data.shape[1], **profile) as dataset:
+        dataset.write(data, 1)
+        if units:
+            dataset.units = (units,)
+    return path
+
+
+def quarters(folder: Path, data: NDArray[Any], size: int = 100, **profile: Any) -> list[Path]:
+    """The data cut into tiles."""
+    return [
+        write(folder / f"tile_{row}_{col}.tif", data[row : row + size, col : col + size], row, col, **profile)
+        for row in range(0, data.shape[0], size)
+        for col in range(0, data.shape[1], size)
+    ]
+
+
+def whole(source: Source) -> NDArray[Any]:
+    rows, cols = source.grid.shape
+    return source.read(slice(0, rows), slice(0, cols))
+
+
+def test_tiles_side_by_side_are_the_raster(tmp_path: Path) -> None:
+    data = hills(250, 330).astype(np.float32)
+    paths = quarters(tmp_path, data)
+    for given in (paths, str(tmp_path / "tile_*.tif"), tmp_path, [str(path) for path in reversed(paths)]):
+        source = open_height(given)
+        assert source.grid.shape == data.shape
+        assert source.grid.transform == (STEP, 0, LEFT, 0, -STEP, TOP)
+        np.testing.assert_array_equal(whole(source), data)
+        np.testing.assert_array_equal(source.read(slice(90, 210), slice(99, 101)), data[90:210, 99:101])
+        small = source.overview((50, 66))
+        assert small.shape == (50, 66)
+        np.testing.assert_allclose(small, data[2::5, 2::5], atol=25)
+        source.close()
+
+
+def test_one_of_a_list_is_itself(tmp_path: Path) -> None:
+    path = write(tmp_path / "one.tif", hills(20, 20).astype(np.int16))
+    assert open_height([path]).fingerprint == open_height(path).fingerprint
+    with pytest.raises(SourceError, match="empty list"):
+        open_height([])
+    with pytest.raises(SourceError, match="no file is named so"):
+        open_height(str(tmp_path / "none_*.tif"))
+
+
+def test_later_ones_win_where_valid_as_in_rasterio(tmp_path: Path) -> None:
+    first = hills(80, 80).astype(np.int16)
+    second = (hills(80, 80) + 5000).astype(np.int16)
+    second[10:30, 20:50] = -1
+    paths = [write(tmp_path / "a.tif", first, nodata=-1), write(tmp_path / "b.tif", second, 20, 40, nodata=-1)]
+    for order in (paths, paths[::-1]):
+        expected, place = merge(order[::-1])
+        source = open_height(order)
+        assert Affine(*source.grid.transform) == place
+        np.testing.assert_array_equal(whole(source), np.where(expected[0] == -1, np.nan, expected[0]))
+
+
+def test_gaps_are_nodata_and_empty_tiles_are_gaps(tmp_path: Path) -> None:
+    data = hills(60, 60).astype(np.float32)
+    paths = [
+        write(tmp_path / "a.tif", data),
+        write(tmp_path / "b.tif", data, 100, 150),
+        write(tmp_path / "sea.tif", np.full((60, 60), -9999, np.float32), 0, 90, nodata=-9999),
+    ]
+    source = open_height(paths)
+    expected = np.full((160, 210), np.nan, np.float32)
+    expected[:60, :60] = expected[100:, 150:] = data
+    np.testing.assert_array_equal(whole(source), expected)
+    assert not source.covered
+    with pytest.raises(NoSampleError, match="none of its 2 rasters has a valid sample"):
+        open_height([paths[2], write(tmp_path / "lake.tif", np.full((6, 6), -1, np.int16), nodata=-1)])
+
+
+def test_units_scales_and_types_become_metres(tmp_path: Path) -> None:
+    data = np.round(hills(50, 50))
+    paths = [
+        write(tmp_path / "metres.tif", data.astype(np.int16)),
+        write(tmp_path / "feet.tif", (data / 0.3048).astype(np.float64), 0, 50, units="ft"),
+        write(tmp_path / "decimetres.tif", (data * 10).astype(np.uint16), 50, 0, units="dm"),
+    ]
+    heights = whole(open_height(paths))
+    for part in (heights[:50, :50], heights[:50, 50:], heights[50:, :50]):
+        np.testing.assert_allclose(part, data, atol=1e-3)
+
+
+def test_unlike_vertical_references_are_refused(tmp_path: Path) -> None:
+    data = hills(20, 20).astype(np.float32)
+    one = write(tmp_path / "egm.tif", data, crs="EPSG:32633+5773")
+    other = write(tmp_path / "dhhn.tif", data, 0, 20, crs="EPSG:32633+7837")
+    plain = write(tmp_path / "plain.tif", data, 0, 40)
+    with pytest.raises(SourceError, match=r"dhhn\.tif.*egm\.tif|egm\.tif.*dhhn\.tif"):
+        open_height([one, other])
+    source = open_height([one, plain])
+    assert "EGM96" in str(source.vertical_crs)
+    assert whole(source).shape == (20, 60)
+    assert np.isnan(whole(source)[:, 20:40]).all()
+
+
+def test_what_cannot_be_laid_is_refused(tmp_path: Path) -> None:
+    data = hills(20, 20).astype(np.float32)
+    one, other = write(tmp_path / "a.tif", data), write(tmp_path / "b.tif", data, crs=None)
+    with pytest.raises(SourceError, match=r"b\.tif: names no CRS, .*a\.tif does; give crs="):
+        open_height([one, other])
+    assert open_height([one, other], crs="EPSG:32633").grid.shape == (20, 20)
+    with pytest.raises(SourceError, match="spacing= would lay all 2 rasters over each other"):
+        open_height([one, other], spacing=3)
+    bare = write(tmp_path / "c.tif", data, transform=Affine.identity())
+    with pytest.raises(SourceError, match=r"c\.tif: has no georeference"):
+        open_height([one, bare])
+    with pytest.raises(SourceError, match=r"missing\.tif: no such file"):
+        open_height([one, tmp_path / "missing.tif"])
+    with pytest.raises(SourceError, match="expected one image, got 2"):
+        open_colour([one, other], open_height(one))
+
+
+def bilinear(data: NDArray[Any], tx: NDArray[Any], ty: NDArray[Any]) -> NDArray[np.float64]:
+    """Values of the data at texel coordinates, NaN outside."""
+    at = np.arange(data.shape[0]) + 0.5, np.arange(data.shape[1]) + 0.5
+    return RegularGridInterpolator(at, data, bounds_error=False)(np.stack([ty, tx], axis=-1))
+
+
+def test_a_coarser_one_is_resampled_to_the_finest(tmp_path: Path) -> None:
+    fine = hills(60, 60).astype(np.float32)
+    coarse = (hills(40, 40) + 50).astype(np.float32)
+    paths = [write(tmp_path / "coarse.tif", coarse, step=90.0), write(tmp_path / "fine.tif", fine, 30, 30)]
+    source = open_height(paths)
+    assert source.grid.shape == (120, 120)
+    assert source.grid.transform[0] == STEP
+    ty, tx = (np.indices((120, 120)) + 0.5) / 3
+    expected = bilinear(coarse, tx, ty)
+    expected[30:90, 30:90] = fine
+    found = whole(source)
+    inside = np.isfinite(expected)
+    np.testing.assert_allclose(found[inside], expected[inside], atol=1e-2)
+    np.testing.assert_array_equal(found[30:90, 30:90], fine)
+    np.testing.assert_allclose(source.read(slice(20, 35), slice(7, 44)), found[20:35, 7:44], atol=1e-4)
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:4326"])
+def test_another_crs_is_warped(tmp_path: Path, crs: str | None) -> None:
+    fine = hills(80, 80).astype(np.float32)
+    (west,), (north,) = transform("EPSG:32633", "EPSG:4326", [LEFT + 80 * STEP], [TOP])
+    step = 0.0009
+    degrees = {"crs": "EPSG:4326", "transform": from_origin(west, north, step, step)}
+    other = (hills(50, 50) + 300).astype(np.float32)
+    paths = [write(tmp_path / "fine.tif", fine), write(tmp_path / "degrees.tif", other, **degrees)]
+    source = open_height(paths, crs=crs)
+    assert source.grid.crs == (crs or "EPSG:32633")
+    rows, cols = source.grid.shape
+    x, y = source.grid.to_crs(*np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5))
+    lon, lat = transform(source.grid.crs, "EPSG:4326", x.ravel(), y.ravel())
+    expected = bilinear(other, (np.array(lon) - west) / step, (north - np.array(lat)) / step).reshape(rows, cols)
+    found = whole(source)
+    inside = np.isfinite(expected)
+    assert inside.mean() > 0.2
+    np.testing.assert_allclose(found[inside], expected[inside], atol=0.05)
+    assert source.fingerprint != open_height(paths[::-1], crs=crs).fingerprint
+    source.close()
+
+
+def test_a_change_of_one_file_changes_the_fingerprint(tmp_path: Path) -> None:
+    paths = quarters(tmp_path, hills(100, 200).astype(np.int16))
+    before = open_height(paths).fingerprint
+    assert open_height(paths).fingerprint == before
+    os.utime(paths[1], (1, 1))
+    assert open_height(paths).fingerprint != before
+
+
+def test_many_tiles_are_opened_when_needed_and_few_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "OPEN", 5)
+    opened: list[Any] = []
+    real = parts.files.open_height
+    monkeypatch.setattr(parts.files, "open_height", lambda data, options: opened.append(data) or real(data, options))
+    data = hills(240, 240).astype(np.float32)
+    source = open_height(quarters(tmp_path, data, 30))
+    assert len(opened) <= 1
+    np.testing.assert_array_equal(source.read(slice(0, 15), slice(0, 25)), data[:15, :25])
+    assert len(opened) == 1
+
+    def windows(seed: int) -> None:
+        random = np.random.default_rng(seed)
+        for _ in range(8):
+            row, col = random.integers(0, 180, 2)
+            window = slice(row, row + 60), slice(col, col + 60)
+            np.testing.assert_array_equal(source.read(*window), data[window])
+            assert len(source._open) <= 5  # type: ignore[attr-defined]
+
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(windows, range(3)))
+    source.close()
+
+
+def test_a_mosaic_is_drawn_as_the_raster_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OROGEN_CACHE_DIR", str(tmp_path / "cache"))
+    data = hills(120, 150).astype(np.float32)
+    quarters(tmp_path, data, 50)
+    with orogen.open(write(tmp_path / "cache.dat", data)) as one, orogen.open(str(tmp_path / "tile_*.tif")) as many:
+        assert many.bounds == one.bounds
+        pictures = [terrain.render(size=(96, 64), samples=1).color for terrain in (one, many)]
+    np.testing.assert_array_equal(*pictures)

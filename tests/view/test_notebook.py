@@ -1,0 +1,125 @@
+import base64
+import io
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import orogen
+from orogen.errors import OutputError
+from orogen.view import notebook
+from orogen.view.session import Session
+from orogen.view.window import Window
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "example.ipynb"
+
+
+def decoded(text):
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(text)))).astype(int)
+
+
+def test_the_example_runs_in_a_kernel(monkeypatch, tmp_path):
+    """A kernel with nobody in front of it: the widget is there for who comes, and a picture for who does not."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("anywidget")
+    for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "IPYTHONDIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    notebook = nbformat.read(EXAMPLE, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=100, kernel_name="python3").execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error"]
+    results = [output.data for output in outputs if output.output_type == "execute_result"]
+    (shown,) = [data for data in results if "image/jpeg" in data]
+    picture = decoded(shown["image/jpeg"])
+    assert picture.shape == (540, 960, 3)
+    assert picture.std() > 20
+    assert shown["application/vnd.jupyter.widget-view+json"]["model_id"]
+    assert "(270, 480, 4), (270, 480)" in results[-1]["text/plain"]
+
+
+def test_the_example_holds_no_results():
+    cells = json.loads(EXAMPLE.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert len(code) >= 5
+    assert not [cell for cell in code if cell["outputs"] or cell["execution_count"]]
+
+
+@pytest.fixture
+def kernel(monkeypatch):
+    """As seen from a kernel."""
+    monkeypatch.setattr(notebook, "in_notebook", lambda: True)
+
+
+def test_without_a_widget_there_is_a_picture(terrain, kernel, monkeypatch, caplog):
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", None)
+    camera = terrain.camera(heading=120.0)
+    view = terrain.view(camera, size=(160, 90))
+    assert "orogen[notebook]" in caplog.text
+    bundle = view._repr_mimebundle_()
+    assert set(bundle) == {"text/plain", "image/jpeg"}
+    expected = terrain.render(camera, (160, 90)).color[..., :3].astype(int)
+    assert np.abs(decoded(bundle["image/jpeg"]) - expected).mean() < 3
+    view.close()
+
+
+def test_the_widget_draws_what_the_front_end_asks_for(terrain, kernel):
+    """The front end's part is played by hand: it says its size, and that it has shown what came."""
+    pytest.importorskip("anywidget")
+    import asyncio
+
+    sent = []
+
+    async def play():
+        view = terrain.view(size=(160, 90), panel=False)
+        widget = view.window.canvas
+        widget.send = lambda message, buffers=None: sent.append((message, buffers))
+        size = {"width": 160, "height": 90, "pwidth": 160, "pheight": 90, "ratio": 1.0, "timestamp": 0}
+        widget._rfb_handle_msg(widget, {"type": "resize", **size}, [])
+        widget._has_visible_views = True
+        for _ in range(100):
+            await asyncio.sleep(0.05)
+            if sent:
+                widget._frame_feedback = {"index": sent[-1][0]["index"], "timestamp": 0, "localtime": 0}
+            if len(sent) >= 3:
+                break
+        view.close()
+
+    asyncio.run(play())
+    message, buffers = sent[-1]
+    picture = np.asarray(Image.open(io.BytesIO(buffers[0])))
+    assert message["type"] == "framebufferdata"
+    assert picture.shape[:2] == (90, 160)
+    assert picture[..., :3].std() > 5
+
+
+def test_closing_gives_the_terrain_back_where_it_is_the_view_s_own(kernel, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", None)
+    heights = np.zeros((20, 20), np.float32)
+    for owned in (False, True):
+        terrain = orogen.open(heights, spacing=1.0)
+        terrain.view(owned=owned).close()
+        assert terrain._closed is owned
+        terrain.close()
+
+
+def test_elsewhere_there_is_a_window(terrain, monkeypatch):
+    assert not notebook.in_notebook()
+    made = []
+
+    class Recorder(Window):
+        def __init__(self, session, **options):
+            made.append((session, options))
+            raise OutputError("no window here")
+
+    monkeypatch.setattr("orogen.view.window.Window", Recorder)
+    camera = terrain.camera(heading=10.0)
+    with pytest.raises(OutputError, match="no window here"):
+        terrain.view(camera, size=(300, 200), title="hills", panel=False)
+    session, options = made[0]
+    assert isinstance(session, Session)
+    assert session.camera == camera
+    assert options == {"size": (300, 200), "title": "hills", "panel": False}
