@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import time
 from functools import cache
 
@@ -46,8 +47,9 @@ def test_times_by_name_add_up(gpu, spin):
     if "timestamp-query" not in gpu.features:
         pytest.skip("the adapter has no timestamps")
     timer = gpu.timer()
-    # the software driver compiles in the first frame
-    for _ in range(2):
+    # the software driver compiles in the first frame; whatever else the machine does can stretch a pass
+    least = {"long": math.inf, "short": math.inf}
+    for _ in range(8):
         encoder = gpu.encoder("frame")
         spin(timer.compute_pass(encoder, "long"), 1_000_000)
         spin(timer.compute_pass(encoder, "short"), 10)
@@ -58,9 +60,10 @@ def test_times_by_name_add_up(gpu, spin):
         gpu.submit(encoder)
         times = timer.results(wait=True)
         elapsed = 1000 * (time.perf_counter() - start)
+        least = {name: min(least[name], times[name]) for name in least}
     assert list(before) == list(times) == ["long", "short"]
     assert before != times
-    assert times["long"] > times["short"] >= 0
+    assert least["long"] > least["short"] >= 0
     # a software driver's timestamps and the clock differ by some hundredths of a millisecond
     assert 0 < sum(times.values()) <= elapsed + 0.1
 

@@ -85,7 +85,8 @@ class Wishes:
         self.last = (np.array([frame.grid.width, frame.grid.height]) - 1) * self.unit
         stretch = np.linalg.svd(frame.grid.metres / self.unit)[1].max()
         self.longest = np.sqrt(2) * shape.side * stretch
-        self.factor = max(frame.pixels_per_radian(frame.lod) / settings.pixels, 4.0)
+        self.scale = frame.pixels_per_radian(frame.lod)
+        self.factor = max(self.scale / settings.length, 4.0)
         self.closest = np.inf
         """How near to the verge a decision was, as a part of the distance."""
 
@@ -93,14 +94,60 @@ class Wishes:
         """Camera-relative (east, north) of subtexels from the first sample."""
         return self.frame.grid.metres @ (place / self.unit + 0.5 - self.frame.eye)
 
-    def __call__(self, triangle: Triangle) -> bool:
+    def is_hidden(self, triangle: Triangle) -> bool:
         low = np.min(triangle.corners, axis=0)
-        if triangle.depth >= self.shape.depth or (low >= self.last).any():
-            return False
+        return bool(triangle.depth >= self.shape.depth or (low >= self.last).any())
+
+    def away(self, triangle: Triangle) -> float:
         middle = np.minimum(triangle.middle, self.last).astype(np.float64)
-        frame = self.frame
-        ground = frame.ground_height * frame.exaggeration - frame.camera.z
-        away = np.linalg.norm(np.append(self.metres(middle), ground) - frame.lod_eye())
-        reach = self.factor * self.longest * 2 ** (-(triangle.depth - 1) / 2)
-        self.closest = min(self.closest, abs(away / reach - 1))
-        return bool(away < reach)
+        ground = self.frame.ground_height * self.frame.exaggeration - self.frame.camera.z
+        return float(np.linalg.norm(np.append(self.metres(middle), ground) - self.frame.lod_eye()))
+
+    def is_long(self, triangle: Triangle) -> bool:
+        return self.decide(self.factor * self.longest * 2 ** (-(triangle.depth - 1) / 2), self.away(triangle))
+
+    def decide(self, reach: float, away: float) -> bool:
+        self.closest = min(self.closest, abs(reach / away - 1))
+        return away < reach
+
+    def __call__(self, triangle: Triangle) -> bool:
+        return not self.is_hidden(triangle) and self.is_long(triangle)
+
+
+class RoughWishes(Wishes):
+    """Errors against bilinear float64 heights, from the finest level everywhere.
+
+    `smallest_tree` asks only for halves of what was wanted divided, so that what a node is a part of needs no look.
+    """
+
+    def __init__(self, frame: Frame, settings: Settings, shape: Shape, heights: NDArray[np.floating]) -> None:
+        super().__init__(frame, settings, shape)
+        assert settings.error is not None
+        self.error, self.heights = settings.error, heights.astype(np.float64)
+        self.decided_by_error = 0
+
+    def ground(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Drawn heights (n) of subtexels (n, 2) from the first sample, less the camera's and the globe's drop."""
+        x, y = (place / self.unit).T
+        column = np.clip(x.astype(int), 0, self.heights.shape[1] - 2)
+        row = np.clip(y.astype(int), 0, self.heights.shape[0] - 2)
+        x, y, z = x - column, y - row, self.heights
+        top = z[row, column] * (1 - x) + z[row, column + 1] * x
+        bottom = z[row + 1, column] * (1 - x) + z[row + 1, column + 1] * x
+        flat = (place / self.unit + 0.5 - self.frame.eye) @ self.frame.grid.metres.T
+        drop = self.frame.curvature_factor * (flat**2).sum(axis=1)
+        return (top * (1 - y) + bottom * y) * self.frame.exaggeration - drop
+
+    def __call__(self, triangle: Triangle) -> bool:
+        if self.is_hidden(triangle):
+            return False
+        if self.is_long(triangle):
+            return True
+        self.decided_by_error += 1
+        apex, first, last = np.minimum(triangle.corners, self.last).astype(np.float64)
+        middle, near, far = (first + last) / 2, (3 * first + last) / 4, (first + 3 * last) / 4
+        samples = [middle, near, far, (apex + first) / 2, (apex + last) / 2, (apex + near) / 2, (apex + far) / 2]
+        (a, b, c), ground = np.split(self.ground(np.array([apex, first, last, *samples])), [3])
+        on_edge = [(b + c) / 2, (3 * b + c) / 4, (b + 3 * c) / 4]
+        drawn = [*on_edge, (a + b) / 2, (a + c) / 2, (a + on_edge[1]) / 2, (a + on_edge[2]) / 2]
+        return self.decide(np.abs(ground - drawn).max() * self.scale / self.error, self.away(triangle))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lod.cbt_twin import Wishes, roots, smallest_tree
+from lod.cbt_twin import RoughWishes, Wishes, roots, smallest_tree
 from lod.lists import read
 from lod.patches import torn_edges
 from lod.restricted import some_cameras, unculled
@@ -114,6 +114,46 @@ def test_the_tree_on_a_sheared_grid(gpu: Gpu) -> None:
             # corners are named by their exact place in the grid, of which the outline is a rectangle
             flat = np.concatenate([drawn.texels, drawn.corners["height"][..., None]], axis=2)
             assert len(torn_edges(flat, (0.0, 0.0, 89.0, 69.0))) == 0
+
+
+def test_the_tree_of_errors_is_the_smallest_that_meets_all_wishes(gpu: Gpu) -> None:
+    heights = hills(70, 300.0).astype(np.float32)[:50]
+    with closing(Scene(gpu, heights)) as scene:
+        state = view_of(scene, {"metric": "error", "pixels": 6.0})
+        assert state._algorithm.settings.length == 64.0
+        cameras = [*some_cameras(scene, 2, seed=8), scene.camera(30, 20, 2500, pitch=-80, orthographic=500.0)]
+        for k, camera in enumerate(cameras):
+            frame = unculled(scene.frame(camera, SIZE, exaggeration=1.5, curvature=k == 1))
+            settle(scene, frame, state)
+            wishes = RoughWishes(frame, state._algorithm.settings, state._algorithm.shape, heights)
+            expected = smallest_tree(state._algorithm.shape.side, wishes)
+            assert wishes.decided_by_error > 100
+            assert wishes.closest > 1e-5
+            assert leaves(state) == set(expected)
+
+
+def test_errors_make_a_tree_that_is_whole_and_does_not_depend_on_what_came_before(hilly: Scene) -> None:
+    settings = {"metric": "error", "pixels": 2.0}
+    travelled = view_of(hilly, settings)
+    last = np.array([399.0, 299.0])
+    for camera in some_cameras(hilly, 3, seed=13):
+        frame = hilly.frame(camera, SIZE)
+        fresh = travelled._algorithm.view()
+        for state in (fresh, travelled):
+            settle(hilly, frame, state)
+        np.testing.assert_array_equal(field(travelled), field(fresh))
+        drawn = read(hilly, unculled(frame), travelled)
+        assert_whole(drawn.corners["position"], drawn.texels, last)
+
+
+def test_flat_ground_is_divided_by_length_alone(gpu: Gpu) -> None:
+    with closing(Scene(gpu, np.full((400, 500), 50.0))) as scene:
+        frame = scene.frame(scene.camera(250, 200, 1750, pitch=-60), (400, 300))
+        by_error, by_length = view_of(scene, {"metric": "error", "max_length": 30.0}), view_of(scene, {"pixels": 30.0})
+        for state in (by_error, by_length):
+            settle(scene, frame, state)
+        np.testing.assert_array_equal(field(by_error), field(by_length))
+        assert len(leaves(by_error)) > 100
 
 
 def test_sums_are_those_of_the_field(hilly: Scene) -> None:
@@ -331,6 +371,33 @@ def test_all_samples_see_what_the_wider_camera_sees(hilly: Scene) -> None:
                 assert (points @ planes[:, :3].T + planes[:, 3]).min() >= least
 
 
+def test_a_window_goes_on_drawing_until_the_tree_is_settled(hilly: Scene) -> None:
+    state = view_of(hilly, {"updates": 1})
+    frame = hilly.frame(hilly.camera(200, 150, 450, pitch=-20), SIZE)
+    assert state.unfinished()
+    frames = 0
+    while state.unfinished():
+        hilly.record(frame, state)
+        frames += 1
+        hilly.gpu.read_buffer(state._state).result()
+        assert frames < 100
+    # each update is a frame
+    assert frames > 8
+    assert state.state()["settled"] == 1
+    whole = field(state)
+    hilly.record(frame, state)
+    np.testing.assert_array_equal(field(state), whole)
+    assert not state.unfinished()
+    # a camera that jumps is noticed while the picture is being smoothed
+    frame = hilly.frame(hilly.camera(60, 250, 300, heading=120, pitch=-20), SIZE)
+    noticed = 0
+    for _ in range(16):
+        hilly.record(frame, state)
+        hilly.gpu.read_buffer(state._state).result()
+        noticed += state.unfinished()
+    assert noticed
+
+
 def test_a_full_list_grows_and_the_picture_is_the_same(hilly: Scene) -> None:
     frame = hilly.frame(hilly.camera(200, 200, 500, pitch=-40), SIZE)
     roomy = view_of(hilly, ROUGH)
@@ -427,6 +494,8 @@ def test_nothing_is_drawn_before_the_first_data_or_of_a_single_sample(gpu: Gpu) 
     ("settings", "message"),
     [
         ({"pixels": "0"}, "pixels: expected a number above 0, got 0"),
+        ({"metric": "errors"}, "metric: expected one of length, error, got 'errors'; did you mean error"),
+        ({"max_length": "0"}, "max_length: expected a number above 0, got 0"),
         ({"updates": "0"}, "updates: expected 1 to 64 a frame, got 0"),
         ({"max_depth": "31"}, "max_depth: expected 1 to 30 bisections, got 31"),
         ({"leaf_capacity": "10"}, "leaf_capacity: expected at least 64 leaves, got 10"),

@@ -19,11 +19,16 @@ from orogen.gpu import FrameTimer, Readback
 from orogen.lod.cbt.field import DEEPEST, Shape, deepest_field, plant, shape_of, tree_bytes
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent
 
 WIDEST_EDGE = 0.25
 """Part of its distance that an undivided edge may be long at most; a node's wish implies its parent's up to 0.8."""
+
+METRICS = ("length", "error")
+USUAL_LENGTH, USUAL_ERROR = 4.0, 0.25
+"""Pixels that are asked for where none are named."""
 
 _GROUPS_A_ROW = 1 << 12
 _LEAVES, _WORK, _REGIONS = 0, 12, 24
@@ -36,7 +41,12 @@ _COUNTERS = (
     "refused", "divided", "joined", "added", "regions", "drawn",
 )  # fmt: skip
 _STATE = np.dtype([(name, "u4") for name in _COUNTERS])
-_BLOCK = np.dtype([("side", "i4"), ("finest", "u4"), ("capacity", "u4"), ("reach", "f4"), ("planes", "f4", (5, 4))])
+_BLOCK = np.dtype(
+    [
+        ("side", "i4"), ("finest", "u4"), ("capacity", "u4"), ("reach", "f4"), ("planes", "f4", (5, 4)),
+        ("error_reach", "f4"), ("padding", "f4", 3),
+    ]
+)  # fmt: skip
 
 _log = logging.getLogger("orogen")
 
@@ -45,8 +55,13 @@ _log = logging.getLogger("orogen")
 class Settings:
     """How fine the triangles are, how fast they follow the camera, and how much room they have."""
 
-    pixels: float = 4.0
-    """Greatest length of a triangle's longest edge in pixels where it is seen face on, above 0."""
+    metric: str = "length"
+    """What divides a triangle: "length", that of its longest edge; "error", its distance from the ground."""
+    pixels: float | None = None
+    """Greatest length of a triangle's longest edge where it is seen face on, or greatest error where it is seen from
+    the side, in pixels, above 0; None: 4 of length, 0.25 of error."""
+    max_length: float = 64.0
+    """With errors: greatest length of a triangle's longest edge in pixels, above 0, however small its error is."""
     updates: int = 16
     """Times, at most, that leaves are divided or joined in a frame, from 1 to 64: levels of detail that may change."""
     max_depth: int | None = None
@@ -56,14 +71,28 @@ class Settings:
     """Room for nodes at first, at least 64, four times as many as there are leaves; grows when a frame needs more."""
 
     def __post_init__(self) -> None:
-        if not self.pixels > 0:
+        if self.metric not in METRICS:
+            raise expected_name("metric", self.metric, METRICS)
+        if self.pixels is not None and not self.pixels > 0:
             raise SettingsError(f"pixels: expected a number above 0, got {self.pixels}")
+        if not self.max_length > 0:
+            raise SettingsError(f"max_length: expected a number above 0, got {self.max_length}")
         if not 1 <= self.updates <= 64:
             raise SettingsError(f"updates: expected 1 to 64 a frame, got {self.updates}")
         if self.max_depth is not None and not 1 <= self.max_depth <= DEEPEST:
             raise SettingsError(f"max_depth: expected 1 to {DEEPEST} bisections, got {self.max_depth}")
         if self.leaf_capacity < 64:
             raise SettingsError(f"leaf_capacity: expected at least 64 leaves, got {self.leaf_capacity}")
+
+    @property
+    def length(self) -> float:
+        """Pixels that the longest edge of an undivided triangle covers at most."""
+        return self.max_length if self.metric == "error" else self.pixels or USUAL_LENGTH
+
+    @property
+    def error(self) -> float | None:
+        """Pixels by which an undivided triangle leaves the ground at most; None where that does not count."""
+        return (self.pixels or USUAL_ERROR) if self.metric == "error" else None
 
 
 class View(AlgorithmView):
@@ -86,7 +115,9 @@ class View(AlgorithmView):
         self._watch: tuple[int, Readback] | None = None
         self._frames = 0
         self._fits = True
-        self._unsettled = 0
+        self._may_grow = True
+        self._settled = False
+        self._unsettled = self._watched_unsettled = 0
         self._grow(algorithm.settings.leaf_capacity)
 
     def _grow(self, capacity: int) -> None:
@@ -134,20 +165,25 @@ class View(AlgorithmView):
         dispatch("finish")
         run.end()
         self._frames += 1
-        if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits):
+        if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits or not self._settled):
             self._watch = self._capacity, algorithm.clipmap.gpu.read_buffer(self._state, encoder=encoder)
         return [Patches(algorithm.module, self._vertex_group, self._draw, "triangle-list")]
 
     def _keep_up(self) -> None:
-        """Make room where an earlier frame is known to have lacked it, without waiting for the GPU."""
+        """See what became of an earlier frame, and make room where it lacked some, without waiting for the GPU."""
         if self._watch is None or not self._watch[1].ready():
             return
-        (capacity, state), self._watch = self._watch, None
-        self._fits = not state.result().view(_STATE)[0]["refused"]
+        (capacity, readback), self._watch = self._watch, None
+        state = readback.result().view(_STATE)[0]
+        self._fits = not state["refused"]
+        before, self._watched_unsettled = self._watched_unsettled, int(state["unsettled"])
+        # also frames that were not watched: what was drawn then may be in the picture
+        self._settled = self._watched_unsettled == before and bool(state["settled"]) and self._fits
         if not self._fits and capacity == self._capacity:
             try:
                 self._grow(2 * capacity)
             except BudgetError as error:
+                self._may_grow = False
                 _log.debug("drawn coarser than asked for: %s", error)
 
     def state(self) -> dict[str, int]:
@@ -161,6 +197,11 @@ class View(AlgorithmView):
     def statistics(self) -> Statistics:
         """Leaves in sight as triangles."""
         return Statistics(triangles=self.state()["drawn"], draws=1)
+
+    def unfinished(self) -> bool:
+        """Whether the tree was still changing, or lacked room that it will have, in the latest frames known of."""
+        self._keep_up()
+        return not self._settled and (self._fits or self._may_grow)
 
     def incomplete(self) -> bool:
         """Whether the tree was still changing in a frame since this was asked, or lacked room, which it makes.
@@ -179,7 +220,7 @@ class Cbt(Algorithm):
 
     name = "cbt"
     Settings = Settings
-    detail = Detail("pixels", finest=0.5, coarsest=256.0)
+    detail = Detail("pixels", finest=0.02, coarsest=256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         """Raises BudgetError where `max_depth` asks for a larger bit field than the device can bind."""
@@ -234,7 +275,9 @@ def uniforms(frame: Frame, settings: Settings, shape: Shape, capacity: int) -> N
     block["side"], block["finest"], block["capacity"] = shape.side, shape.depth, capacity
     # the longest that an edge of so many subtexels can be in metres
     longest = np.sqrt(2) * shape.side * float(np.linalg.norm(frame.metres, 2))
-    block["reach"] = longest * max(frame.pixels_per_radian(frame.lod) / settings.pixels, 1 / WIDEST_EDGE)
+    scale = frame.pixels_per_radian(frame.lod)
+    block["reach"] = longest * max(scale / settings.length, 1 / WIDEST_EDGE)
+    block["error_reach"] = scale / settings.error if settings.error else 0.0
     block["planes"] = replace(frame, lod_camera=wider(frame.lod, frame.size)).planes()
     return block
 

@@ -1,8 +1,9 @@
 // Which nodes are wanted divided, and which are seen.
 //
 // A node that is wanted divided has a parent that is, too, exactly as computed: rectangles of subtexels nest, distances
-// have a wide margin, and all that follows from rectangles is monotonic in them, rounding included. So the smallest
-// conforming tree in which all wishes are met is unique, whatever the tree was before.
+// have a wide margin, all that follows from rectangles is monotonic in them, rounding included, and an error counts only
+// where those of all that the node is a part of do. So the smallest conforming tree in which all wishes are met is
+// unique, whatever the tree was before.
 
 struct Box { low: vec2<i32>, high: vec2<i32> }
 
@@ -65,14 +66,63 @@ fn reach_at(depth: u32) -> f32 {
     return cbt.reach * inverse_power(steps / 2u) * select(1.0, 0.70710678, steps % 2u == 1u);
 }
 
-// Whether the longest edge of a node in sight covers more pixels than asked for (Houska 2019, equation 2.3).
+fn middle_of(t: Triangle) -> Point {
+    return clamp_to_extent(Point(frame.extent.xy + (t.first + t.last) / 2, vec2<f32>(0.0)));
+}
+
+// Whether the longest edge covers more pixels than an undivided one may (Houska 2019, equation 2.3).
+fn is_long(t: Triangle, depth: u32) -> bool { return lod_distance(flat_position(middle_of(t))) < reach_at(depth); }
+
+fn corner_of(at: vec2<i32>) -> vec2<i32> { return clamp_to_extent(Point(frame.extent.xy + at, vec2<f32>(0.0))).cell; }
+
+// Camera-relative height of the ground in metres.
+fn ground_at(p: Point) -> f32 { return lift(flat_position(p), height_at(p)).z; }
+
+// Whether the triangle as it is drawn leaves the ground by more than an undivided one may, at any of seven samples:
+// three on the longest edge, which it shares, the middles of its legs, and two inside.
+fn is_rough(t: Triangle) -> bool {
+    let a = corner_of(t.apex);
+    let b = corner_of(t.first);
+    let c = corner_of(t.last);
+    let corners = vec3<f32>(
+        ground_at(Point(a, vec2<f32>(0.0))), ground_at(Point(b, vec2<f32>(0.0))), ground_at(Point(c, vec2<f32>(0.0))));
+    let allowed = lod_distance(flat_position(middle_of(t))) / cbt.error_reach;
+    // eighths of the corners
+    var weights = array<vec3<i32>, 7>(
+        vec3<i32>(0, 4, 4), vec3<i32>(0, 6, 2), vec3<i32>(0, 2, 6), vec3<i32>(4, 4, 0), vec3<i32>(4, 0, 4),
+        vec3<i32>(4, 3, 1), vec3<i32>(4, 1, 3));
+    for (var k = 0u; k < 7u; k += 1u) {
+        let w = weights[k];
+        // exact, and small enough for integers
+        let eighths = w.x * (a & vec2<i32>(7)) + w.y * (b & vec2<i32>(7)) + w.z * (c & vec2<i32>(7));
+        let cell = w.x * (a >> vec2<u32>(3u)) + w.y * (b >> vec2<u32>(3u)) + w.z * (c >> vec2<u32>(3u));
+        let p = Point(cell + (eighths >> vec2<u32>(3u)), vec2<f32>(eighths & vec2<i32>(7)) / 8.0);
+        if (abs(ground_at(p) - dot(vec3<f32>(w), corners) / 8.0) > allowed) { return true; }
+    }
+    return false;
+}
+
+// Whether all that a node is a part of is long or rough: samples of a half may find what its parent's miss, and a wish
+// has to imply the parent's.
+fn is_part_of_rough(node: u32) -> bool {
+    let depth = depth_of_node(node);
+    var t = outermost(node);
+    for (var d = 1u; d < depth; d += 1u) {
+        if (!is_long(t, d) && !is_rough(t)) { return false; }
+        t = half_of_triangle(t, (node >> (depth - d - 1u)) & 1u);
+    }
+    return true;
+}
+
+// Whether a node in sight is to be divided.
 fn is_wanted_divided(node: u32) -> bool {
     let depth = depth_of_node(node);
     if (depth >= cbt.finest || clipmap.layers[HEIGHTS].present == 0u) { return false; }
     let t = triangle_of(node);
     let box = box_of(t);
     if (is_outside(box)) { return false; }
-    let middle = clamp_to_extent(Point(frame.extent.xy + (t.first + t.last) / 2, vec2<f32>(0.0)));
-    if (lod_distance(flat_position(middle)) >= reach_at(depth)) { return false; }
-    return in_frustum(box, nested_bounds(box));
+    let long = is_long(t, depth);
+    if (!long && cbt.error_reach == 0.0) { return false; }
+    if (!in_frustum(box, nested_bounds(box))) { return false; }
+    return long || (is_rough(t) && is_part_of_rough(node));
 }
