@@ -149,7 +149,10 @@ def test_errors_make_a_tree_that_is_whole_and_does_not_depend_on_what_came_befor
 def test_flat_ground_is_divided_by_length_alone(gpu: Gpu) -> None:
     with closing(Scene(gpu, np.full((400, 500), 50.0))) as scene:
         frame = scene.frame(scene.camera(250, 200, 1750, pitch=-60), (400, 300))
-        by_error, by_length = view_of(scene, {"metric": "error", "max_length": 30.0}), view_of(scene, {"pixels": 30.0})
+        by_error, by_length = (
+            view_of(scene, {"metric": "error", "pixels": 0.25, "max_length": 30.0}),
+            view_of(scene, {"pixels": 30.0}),
+        )
         for state in (by_error, by_length):
             settle(scene, frame, state)
         np.testing.assert_array_equal(field(by_error), field(by_length))

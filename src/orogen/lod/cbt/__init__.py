@@ -27,8 +27,6 @@ WIDEST_EDGE = 0.25
 """Part of its distance that an undivided edge may be long at most; a node's wish implies its parent's up to 0.8."""
 
 METRICS = ("length", "error")
-USUAL_LENGTH, USUAL_ERROR = 4.0, 0.25
-"""Pixels that are asked for where none are named."""
 
 _GROUPS_A_ROW = 1 << 12
 _LEAVES, _WORK, _REGIONS = 0, 12, 24
@@ -57,9 +55,9 @@ class Settings:
 
     metric: str = "length"
     """What divides a triangle: "length", that of its longest edge; "error", its distance from the ground."""
-    pixels: float | None = None
+    pixels: float = 4.0
     """Greatest length of a triangle's longest edge where it is seen face on, or greatest error where it is seen from
-    the side, in pixels, above 0; None: 4 of length, 0.25 of error."""
+    the side, in pixels, above 0. Errors of a quarter are about as good as lengths of four."""
     max_length: float = 64.0
     """With errors: greatest length of a triangle's longest edge in pixels, above 0, however small its error is."""
     updates: int = 16
@@ -73,7 +71,7 @@ class Settings:
     def __post_init__(self) -> None:
         if self.metric not in METRICS:
             raise expected_name("metric", self.metric, METRICS)
-        if self.pixels is not None and not self.pixels > 0:
+        if not self.pixels > 0:
             raise SettingsError(f"pixels: expected a number above 0, got {self.pixels}")
         if not self.max_length > 0:
             raise SettingsError(f"max_length: expected a number above 0, got {self.max_length}")
@@ -87,12 +85,12 @@ class Settings:
     @property
     def length(self) -> float:
         """Pixels that the longest edge of an undivided triangle covers at most."""
-        return self.max_length if self.metric == "error" else self.pixels or USUAL_LENGTH
+        return self.max_length if self.metric == "error" else self.pixels
 
     @property
     def error(self) -> float | None:
         """Pixels by which an undivided triangle leaves the ground at most; None where that does not count."""
-        return (self.pixels or USUAL_ERROR) if self.metric == "error" else None
+        return self.pixels if self.metric == "error" else None
 
 
 class View(AlgorithmView):
@@ -220,7 +218,7 @@ class Cbt(Algorithm):
 
     name = "cbt"
     Settings = Settings
-    detail = Detail("pixels", finest=0.02, coarsest=256.0)
+    detail = Detail("pixels", finest=0.5, coarsest=256.0)
 
     def __init__(self, clipmap: Clipmap, settings: Any) -> None:
         """Raises BudgetError where `max_depth` asks for a larger bit field than the device can bind."""
