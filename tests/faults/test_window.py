@@ -24,6 +24,8 @@ def settled(window: Window) -> np.ndarray:
     raise AssertionError("the picture does not come to rest")
 
 
+# now and then the picture at rest has not come to rest
+@pytest.mark.nightly
 def test_the_window_goes_on(place: Place, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL)
     with place.terrain(algorithm="udlod") as terrain:
