@@ -162,8 +162,6 @@ def test_error_bounds_hold_for_rounded_levels(tmp_path: Path) -> None:
             assert (off <= node[..., 2] + 1e-3).all()
 
 
-# now and then a task of the first attempt still writes when the second one reads
-@pytest.mark.nightly
 def test_numbers_that_are_too_small_are_chosen_anew(tmp_path: Path) -> None:
     heights = hills((2070, 650), 4)
     heights[1001, 301] = 90_000  # where the decimated read does not see it

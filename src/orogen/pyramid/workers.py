@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +43,8 @@ class Workers:
         finally:
             for future in waiting:
                 future.cancel()
+            # what runs already writes on: whoever starts anew must not meet it
+            wait([future for future in waiting if not future.cancelled()])
 
 
 def threads() -> int:
