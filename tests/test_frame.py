@@ -327,3 +327,12 @@ def test_levels_halve_and_round_up() -> None:
     assert level_count((256, 256)) == 1
     assert level_count((19401, 10481)) == 8
     assert NodeKey(0, 5, 3).parent == NodeKey(1, 2, 1)
+
+
+@pytest.mark.parametrize("exaggeration", [1.0, 3.0])
+def test_the_eyes_height_is_split_without_loss(exaggeration: float) -> None:
+    frame = frame_of("turned", camera=CAMERAS["turned"].moved(z=8848.8601), exaggeration=exaggeration)
+    rounded, rest = frame.eye_height
+    assert rounded == np.float32(rounded)
+    assert abs(rest) <= np.spacing(np.float32(rounded)) / 2
+    assert rounded + rest == 8848.8601 / exaggeration

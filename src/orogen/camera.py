@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from orogen.errors import SettingsError
 
+Vector = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -38,7 +40,11 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("x", "y", "z", "heading", "pitch", "roll", "fov", "near"):
             value = getattr(self, name)
-            if not math.isfinite(value):
+            try:
+                finite = math.isfinite(value)
+            except TypeError:
+                finite = False
+            if not finite:
                 raise SettingsError(f"camera {name}: expected a finite number, got {value}")
         if not -90 <= self.pitch <= 90:
             raise SettingsError(f"camera pitch: expected -90 to 90 degrees, got {self.pitch:g}")
@@ -50,8 +56,8 @@ class Camera:
             raise SettingsError(f"camera orthographic: expected a height above 0 metres, got {self.orthographic:g}")
 
     @cached_property
-    def basis(self) -> NDArray[np.float64]:
-        """3 x 3: the rows are the unit vectors right, up and forward in (east, north, up)."""
+    def axes(self) -> tuple[Vector, Vector, Vector]:
+        """The unit vectors right, up and forward in (east, north, up)."""
         h, p, r = (math.radians(a) for a in (self.heading, self.pitch, self.roll))
         east, north, climb, level = math.sin(h), math.cos(h), math.sin(p), math.cos(p)
         forward = (east * level, north * level, climb)
@@ -59,9 +65,15 @@ class Camera:
         # right x forward
         up = (-east * climb, -north * climb, north * forward[1] + east * forward[0])
         cos, sin = math.cos(r), math.sin(r)
-        tilted = [(cos * a - sin * b, sin * a + cos * b) for a, b in zip(right, up, strict=True)]
-        return np.array([*zip(*tilted, strict=True), forward])
+        (r0, r1, r2), (u0, u1, u2) = right, up
+        tilted = (cos * r0 - sin * u0, cos * r1 - sin * u1, cos * r2 - sin * u2)
+        return tilted, (sin * r0 + cos * u0, sin * r1 + cos * u1, sin * r2 + cos * u2), forward
+
+    @cached_property
+    def basis(self) -> NDArray[np.float64]:
+        """`axes` as the rows of a 3 x 3 matrix."""
+        return np.array(self.axes)
 
     def moved(self, **changes: float | None) -> Camera:
-        """A copy with some fields changed."""
+        """A copy with some fields changed. Raises SettingsError for values out of their range."""
         return replace(self, **changes)  # type: ignore[arg-type]

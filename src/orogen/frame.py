@@ -8,6 +8,7 @@ heights are float32 metres from which the camera's height is subtracted.
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,20 +16,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.camera import Camera
+from orogen.camera import Camera, Vector
 from orogen.errors import SettingsError
 from orogen.grid import EARTH_RADIUS, Grid
 
 REFERENCE_FOV = 45.0
 """Vertical angle (degrees) of the perspective camera whose distances stand in for an orthographic one's."""
-# left, right, bottom, top and near of clip space: w + x, w - x, w + y, w - y, w - z (reverse z)
-_SIDES = np.array([[1, 0, 0, 1], [-1, 0, 0, 1], [0, 1, 0, 1], [0, -1, 0, 1], [0, 0, -1, 1]], np.float64)
+# of the anchor
+_FARTHEST = 2.0**29
+
+Row = tuple[float, float, float, float]
 
 
 def subtexel_bits(grid: Grid) -> int:
     """Fixed-point bits below a level-0 texel: 8, fewer where the raster is so large that int32 would overflow."""
     # the coarsest node may be up to eight times as wide as the raster
     return max(1, min(8, 28 - max(grid.shape).bit_length()))
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raise SettingsError unless `size` is the width and height of a picture in pixels."""
+    try:
+        width, height = (operator.index(side) for side in size)
+    except (TypeError, ValueError):
+        raise SettingsError(f"size: expected width and height in whole pixels, got {size}") from None
+    if width < 1 or height < 1:
+        raise SettingsError(f"size: expected at least 1x1 pixels, got {width}x{height}")
 
 
 @dataclass(frozen=True)
@@ -53,22 +66,29 @@ class Frame:
     """Lower the ground by d^2 / 2R with the distance d from the camera."""
     jitter: tuple[float, float] = (0.0, 0.0)
     """Offset of the sample within the pixel, in pixels (x right, y down), within -0.5 to 0.5."""
+    coarseness: float = 1.0
+    """Factor, at least 1, by which triangles may be larger in the picture than an algorithm's settings say."""
     slice: int = 0
     """Which part of the frame is asked for, where it is drawn in several (temporal coherence)."""
     time_budget: float | None = field(default=None)
     """Seconds that an algorithm may spend refining; None: as long as it needs."""
 
     def __post_init__(self) -> None:
-        width, height = self.size
-        if width < 1 or height < 1:
-            raise SettingsError(f"size: expected at least 1x1 pixels, got {width}x{height}")
+        check_size(self.size)
         if not (math.isfinite(self.exaggeration) and self.exaggeration > 0):
             raise SettingsError(f"exaggeration: expected a number above 0, got {self.exaggeration:g}")
+        if not (math.isfinite(self.coarseness) and self.coarseness >= 1):
+            raise SettingsError(f"coarseness: expected 1 or more, got {self.coarseness:g}")
 
     @property
     def lod(self) -> Camera:
         """The camera that decides on levels of detail."""
         return self.lod_camera or self.camera
+
+    @property
+    def lod_size(self) -> tuple[float, float]:
+        """Width and height in pixels of the picture that geometry is chosen for: `size` over `coarseness`."""
+        return self.size[0] / self.coarseness, self.size[1] / self.coarseness
 
     @property
     def lod_fov(self) -> float:
@@ -81,20 +101,44 @@ class Frame:
         return subtexel_bits(self.grid)
 
     @cached_property
-    def eye(self) -> NDArray[np.float64]:
+    def eye_texel(self) -> tuple[float, float]:
         """The camera's position (column, row) in level-0 texels."""
-        return np.array(self.grid.texel_of(self.camera.x, self.camera.y))
+        return self.grid.texel_of(self.camera.x, self.camera.y)
+
+    @cached_property
+    def eye(self) -> NDArray[np.float64]:
+        """`eye_texel` as an array."""
+        return np.array(self.eye_texel)
+
+    @cached_property
+    def anchor_subtexel(self) -> tuple[int, int]:
+        """The camera's position in whole subtexels, kept within int32; what shaders subtract."""
+        unit = 1 << self.subtexel_bits
+        x, y = (min(max(at * unit, -_FARTHEST), _FARTHEST) for at in self.eye_texel)
+        return math.floor(x), math.floor(y)
 
     @cached_property
     def anchor(self) -> NDArray[np.int32]:
-        """The camera's position in whole subtexels, kept within int32; what shaders subtract."""
-        limit = 2.0**29
-        return np.clip(np.floor(self.eye * (1 << self.subtexel_bits)), -limit, limit).astype(np.int32)
+        """`anchor_subtexel` as an array."""
+        return np.array(self.anchor_subtexel, np.int32)
+
+    @cached_property
+    def eye_fraction(self) -> tuple[float, float]:
+        """The camera's position minus the anchor, in subtexels: below 1 unless the camera is far outside."""
+        unit, (x, y), (left, top) = 1 << self.subtexel_bits, self.eye_texel, self.anchor_subtexel
+        return x * unit - left, y * unit - top
 
     @cached_property
     def eye_offset(self) -> NDArray[np.float64]:
-        """The camera's position minus the anchor, in subtexels: below 1 unless the camera is far outside."""
-        return self.eye * (1 << self.subtexel_bits) - self.anchor
+        """`eye_fraction` as an array."""
+        return np.array(self.eye_fraction)
+
+    @cached_property
+    def eye_height(self) -> tuple[float, float]:
+        """The camera's height (m of the data, exaggeration undone): rounded to float32, and what that leaves out."""
+        height = self.camera.z / self.exaggeration
+        rounded = float(np.float32(height))
+        return rounded, height - rounded
 
     @cached_property
     def metres(self) -> NDArray[np.float64]:
@@ -114,10 +158,14 @@ class Frame:
         return half * self.size[0] / self.size[1], half
 
     def pixels_per_radian(self, camera: Camera | None = None) -> float:
-        """v of equation 2.3 (document 000): pixels that a length of d metres covers at a distance of d metres."""
+        """v of equation 2.3 (document 000): pixels that a length of d metres covers at a distance of d metres.
+
+        Those of the picture; with a `camera`, such as the LOD camera, those that geometry is chosen for (`lod_size`).
+        """
+        height = self.lod_size[1] if camera else self.size[1]
         camera = camera or self.camera
         fov = REFERENCE_FOV if camera.orthographic else camera.fov
-        return self.size[1] / (2 * math.tan(math.radians(fov) / 2))
+        return height / (2 * math.tan(math.radians(fov) / 2))
 
     def lod_eye(self) -> NDArray[np.float64]:
         """Where distances for the level of detail start: metres (east, north, up) relative to `camera`; read-only.
@@ -129,24 +177,27 @@ class Frame:
 
     @cached_property
     def _lod_eye(self) -> NDArray[np.float64]:
-        result = self._place_of_lod_eye()
+        result = np.array(self.lod_place)
         result.flags.writeable = False
         return result
 
-    def _place_of_lod_eye(self) -> NDArray[np.float64]:
+    @cached_property
+    def lod_place(self) -> Vector:
+        """`lod_eye` as plain numbers."""
         lod = self.lod
         if lod is self.camera and lod.orthographic is None:
-            return np.zeros(3)
-        dx, dy = (self._metric(lod) - self._metric(self.camera)).tolist()
-        eye = np.array([dx, dy, lod.z - self.camera.z])
+            return 0.0, 0.0, 0.0
+        east, north = (self._metric(lod) - self._metric(self.camera)).tolist()
+        eye = east, north, lod.z - self.camera.z
         if lod.orthographic is None:
             return eye
-        forward = lod.basis[2]
+        forward = lod.axes[2]
         above = lod.z - self.ground_height * self.exaggeration
         reach = self._data_diagonal()
         along = min(max(-above / forward[2], -reach), reach) if forward[2] < -1e-3 else 0.0
         back = lod.orthographic / (2 * math.tan(math.radians(REFERENCE_FOV) / 2))
-        return eye + forward * (along - back)
+        x, y, z = (at + way * (along - back) for at, way in zip(eye, forward, strict=True))
+        return x, y, z
 
     def _metric(self, camera: Camera) -> NDArray[np.float64]:
         return self.grid.metres @ np.array(self.grid.texel_of(camera.x, camera.y))
@@ -168,20 +219,24 @@ class Frame:
         return float(depths.min()) - margin, float(depths.max()) + margin
 
     @cached_property
-    def view_projection(self) -> NDArray[np.float64]:
-        """4 x 4 (rows first) from camera-relative metres to clip space: reverse z, infinite far, jitter applied."""
-        right, up, forward = self.camera.basis.tolist()
+    def clip_rows(self) -> tuple[Row, Row, Row, Row]:
+        """The rows of `view_projection`."""
+        right, up, forward = self.camera.axes
         half_x, half_y = self.half_extent
         # a sample at +jitter sees what lay there: the picture moves the other way
         shift_x, shift_y = 2 * self.jitter[0] / self.size[0], -2 * self.jitter[1] / self.size[1]
         if self.camera.orthographic:
             near, far = self.depth_range
-            depth, w = [*(-v / (far - near) for v in forward), far / (far - near)], [0.0, 0.0, 0.0, 1.0]
+            x, y, z = (-v / (far - near) for v in forward)
+            depth, w = (x, y, z, far / (far - near)), (0.0, 0.0, 0.0, 1.0)
         else:
-            depth, w = [0.0, 0.0, 0.0, self.camera.near], [*forward, 0.0]
-        x = [a / half_x - shift_x * b for a, b in zip((*right, 0.0), w, strict=True)]
-        y = [a / half_y - shift_y * b for a, b in zip((*up, 0.0), w, strict=True)]
-        return np.array([x, y, depth, w])
+            depth, w = (0.0, 0.0, 0.0, self.camera.near), (*forward, 0.0)
+        return _across(right, half_x, shift_x, w), _across(up, half_y, shift_y, w), depth, w
+
+    @cached_property
+    def view_projection(self) -> NDArray[np.float64]:
+        """4 x 4 (rows first) from camera-relative metres to clip space: reverse z, infinite far, jitter applied."""
+        return np.array(self.clip_rows)
 
     def view_depth(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
         """Metres along the view axis of reverse-z depths; NaN where nothing was drawn (depth 0)."""
@@ -241,11 +296,30 @@ class Frame:
 
     @cached_property
     def _planes(self) -> NDArray[np.float64]:
-        frame = replace(self, camera=self.lod, lod_camera=None, jitter=(0.0, 0.0)) if self.lod_camera else self
-        planes = _SIDES @ frame.view_projection
-        if frame is not self:
-            shift = np.append(self._metric(frame.camera) - self._metric(self.camera), frame.camera.z - self.camera.z)
-            planes[:, 3] -= planes[:, :3] @ shift
-        planes /= np.sqrt((planes[:, :3] ** 2).sum(axis=1))[:, None]
+        rows, shift = self.clip_rows, (0.0, 0.0, 0.0)
+        if self.lod_camera:
+            rows = replace(self, camera=self.lod_camera, lod_camera=None, jitter=(0.0, 0.0)).clip_rows
+            east, north = (self._metric(self.lod_camera) - self._metric(self.camera)).tolist()
+            shift = east, north, self.lod_camera.z - self.camera.z
+        planes = np.array(_planes_of(rows, shift))
         planes.flags.writeable = False
         return planes
+
+
+def _across(axis: Vector, half: float, shift: float, w: Row) -> Row:
+    """A row of the projection to the side of an axis, or upwards."""
+    a, b, c = axis
+    return a / half - shift * w[0], b / half - shift * w[1], c / half - shift * w[2], -shift * w[3]
+
+
+def _planes_of(rows: tuple[Row, Row, Row, Row], shift: Vector) -> tuple[Row, ...]:
+    """Left, right, bottom, top and near plane of clip space, moved by (east, north, up)."""
+    x, y, z, w = rows
+    sides = ((w, x, 1.0), (w, x, -1.0), (w, y, 1.0), (w, y, -1.0), (w, z, -1.0))
+    found = []
+    for (a0, a1, a2, a3), (b0, b1, b2, b3), sign in sides:
+        e, n, u = a0 + sign * b0, a1 + sign * b1, a2 + sign * b2
+        d = a3 + sign * b3 - (e * shift[0] + n * shift[1] + u * shift[2])
+        length = math.sqrt(e * e + n * n + u * u)
+        found.append((e / length, n / length, u / length, d / length))
+    return tuple(found)

@@ -13,7 +13,7 @@ struct FrameBlock {
     jitter: vec2<f32>,              // of the sample in its pixel, pixels
     lod_eye: vec3<f32>,             // where distances for levels of detail start, camera-relative metres
     pixels_per_radian: f32,         // v of equation 2.3 (Houska 2019) of the view camera
-    eye_height: f32,                // camera's height in metres of the data (exaggeration undone)
+    eye_height: f32,                // camera's height in metres of the data (exaggeration undone), rounded; see eye_rest
     exaggeration: f32,
     curvature: f32,                 // 1 / 2R or 0
     near: f32,                      // near plane of a perspective camera
@@ -29,7 +29,8 @@ struct FrameBlock {
     planes: array<vec4<f32>, 5>,    // frustum of the LOD camera, camera-relative metres, positive inside
     lod_pixels_per_radian: f32,     // v of the LOD camera
     pixel_metres: f32,              // metres that a pixel covers, orthographic; 0 for perspective
-    padding: vec2<f32>,
+    eye_rest: f32,                  // camera's height minus eye_height
+    padding: f32,
 }
 
 // A horizontal position: absolute subtexels, and the fraction that rounds down to them.
@@ -66,7 +67,8 @@ fn flat_position(p: Point) -> vec2<f32> {
 
 // Camera-relative position of a height in metres of the data at a camera-relative (east, north).
 fn lift(flat: vec2<f32>, height: f32) -> vec3<f32> {
-    return vec3<f32>(flat, (height - frame.eye_height) * frame.exaggeration - frame.curvature * dot(flat, flat));
+    let above = (height - frame.eye_height) - frame.eye_rest;
+    return vec3<f32>(flat, above * frame.exaggeration - frame.curvature * dot(flat, flat));
 }
 
 fn ground_point(position: vec3<f32>) -> Point {
@@ -74,7 +76,8 @@ fn ground_point(position: vec3<f32>) -> Point {
 }
 
 fn world_height(position: vec3<f32>) -> f32 {
-    return (position.z + frame.curvature * dot(position.xy, position.xy)) / frame.exaggeration + frame.eye_height;
+    let above = (position.z + frame.curvature * dot(position.xy, position.xy)) / frame.exaggeration;
+    return (above + frame.eye_rest) + frame.eye_height;
 }
 
 // The point at view depth t is origin + t * direction.

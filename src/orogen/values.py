@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Iterable, Mapping
+from numbers import Real
 from typing import Any, TypeVar
 
 from orogen.errors import SettingsError
@@ -41,10 +42,13 @@ def from_values(kind: type[T], what: str, values: Mapping[str, Any]) -> T:
 
 
 def _parsed(what: str, field: dataclasses.Field[Any], value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
     # annotations are text only where a module asks for that
     kind = field.type.__name__ if isinstance(field.type, type) else str(field.type)
+    if not isinstance(value, str):
+        absent = value is None and "None" in kind
+        if kind.startswith(("int", "float")) and not absent and not isinstance(value, Real):
+            raise SettingsError(f"{what} {field.name}: expected {kind}, got {value!r}")
+        return value
     if value.lower() == "none" and "None" in kind:
         return None
     try:

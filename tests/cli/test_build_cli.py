@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rasterio
 
 from orogen.cli.fly import flown
 from orogen.cli.spread import Place, drawn
@@ -19,19 +18,13 @@ from orogen.pyramid import build_pyramid
 from orogen.shading.style import Style
 from orogen.view.flight import Flight
 from orogen.view.renderer import Scene
+from rasters import cone, write
 
 
 @pytest.fixture(scope="module")
 def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("dem") / "cone.tif"
-    y, x = np.mgrid[0:300, 0:400]
-    heights = np.maximum(0, 3000 - 25 * np.hypot(x - 200, y - 150)).astype(np.float32)
-    with rasterio.open(
-        path, "w", driver="GTiff", width=400, height=300, count=1, dtype="float32", crs="EPSG:32633",
-        transform=rasterio.Affine(30, 0, 500_000, 0, -30, 4_000_000),
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    return path
+    return write(path, cone(300, 400, 3000))
 
 
 def orogen(*arguments: object) -> tuple[int, str, str]:
@@ -64,14 +57,16 @@ def test_build_says_what_it_will_take_and_what_it_made(dem: Path, tmp_path: Path
     facts = json.loads(out)
     assert facts["pyramid_built"]
     assert (facts["width"], facts["height"], facts["crs"]) == (400, 300, "EPSG:32633")
+    # rounded to whole metres, which the GPU holds in 16 bits
+    assert (facts["height_quantum"], facts["height_bits"]) == (1.0, 16)
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "expected a raster to build from"),
+        ([], 2, "DATA requires an argument"),
         (["DEM", "--window", "0,0,1,1"], 2, "--window: tells what has changed; give it with --update"),
-        (["DEM", "--update", "--force"], 2, "leave out --force and --max-error"),
+        (["DEM", "--update", "--force"], 2, "leave out --overwrite and --max-error"),
         (["DEM", "--layer", "other"], 2, "--layer: expected NAME=DATA, got 'other'"),
         (["DEM", "--max-error", "0"], 2, "max_error: expected metres above 0"),
         (["DEM", "--update"], 1, "is no pyramid that orogen has built; build it without --update"),
@@ -84,6 +79,13 @@ def test_wrong_words_are_one_clear_line(
     got, _, err = orogen("build", *words, "-o", tmp_path / "out.zarr", "-q")
     assert (got, message in err) == (code, True), err
     assert not (tmp_path / "out.zarr").exists()
+
+
+def test_only_folders_and_cogs_are_built(dem: Path, tmp_path: Path) -> None:
+    code, out, err = orogen("build", dem, "-o", tmp_path / "a.zip")
+    assert (code, out) == (1, "")
+    assert "a.zip: expected the suffix .zarr or .tif, got '.zip'" in err
+    assert not (tmp_path / "a.zip").exists()
 
 
 @pytest.mark.timeout(300)  # three processes that make their pipelines

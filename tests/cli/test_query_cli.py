@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,50 +14,20 @@ import pytest
 import rasterio
 from rasterio.warp import transform
 
-from orogen import cli
 from orogen.terrain import open_terrain
+from rasters import cone, write
 
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture(autouse=True)
-def _own_log() -> Iterator[None]:
-    """The command sets logging up for a process of its own."""
-    loggers = [logging.getLogger(), logging.getLogger("orogen")]
-    before = [(log.handlers[:], log.level, log.propagate) for log in loggers]
-    yield
-    logging.captureWarnings(False)
-    for log, (handlers, level, propagate) in zip(loggers, before, strict=True):
-        log.handlers[:], log.propagate = handlers, propagate
-        log.setLevel(level)
 
 
 @pytest.fixture(scope="module")
 def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cone of 1000 m in the middle of 300 x 320 samples of 30 m, a hole in it."""
     path = tmp_path_factory.mktemp("dem") / "cone.tif"
-    y, x = np.mgrid[0:300, 0:320]
-    heights = np.maximum(0, 1000 - 25 * np.hypot(x - 160, y - 150)).astype(np.float32)
+    heights = cone(300, 320)
     heights[10:14, 10:14] = -9999
-    with rasterio.open(
-        path, "w", driver="GTiff", width=320, height=300, count=1, dtype="float32", crs="EPSG:32633",
-        transform=rasterio.Affine(30.0, 0.0, 500000.0, 0.0, -30.0, 4000000.0), nodata=-9999,
-        tiled=True, blockxsize=128, blockysize=128,
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    return path
-
-
-@pytest.fixture
-def call(capfd: pytest.CaptureFixture[str]) -> Call:
-    """Run a command line in this process: exit code, stdout, stderr."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = cli.run([str(a) for a in arguments])
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return run
+    transform = rasterio.Affine(30.0, 0.0, 500000.0, 0.0, -30.0, 4000000.0)
+    return write(path, heights, transform=transform, nodata=-9999, tiled=True, blockxsize=128, blockysize=128)
 
 
 def place(column: float, row: float) -> str:

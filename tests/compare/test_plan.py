@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orogen.compare.plan import Entry, Plan, parse_entry, parse_sweep, plain
+from orogen.compare.spread import packed
 from orogen.errors import SettingsError
 from orogen.lod import algorithms
 
@@ -132,3 +134,21 @@ def test_requests_survive_a_file() -> None:
     )
     assert same.request() == request
     assert plain({"a": (math.inf, math.nan, np.int64(3))}) == {"a": ["inf", None, 3]}
+
+
+def test_files_are_named_alike_from_every_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a.tif", "b.tif"):
+        (tmp_path / name).touch()
+    wkt = 'LOCAL_CS["ground",UNIT["metre",1]]'
+    monkeypatch.chdir(tmp_path)
+    for data, expected in (
+        ("a.tif", str(tmp_path / "a.tif")),
+        ("*.tif", str(tmp_path / "*.tif")),
+        (["a.tif", "b.tif"], [str(tmp_path / "a.tif"), str(tmp_path / "b.tif")]),
+        ("https://example.org/[1].tif", "https://example.org/[1].tif"),
+    ):
+        plan = Plan(data, options={"color": data, "crs": wkt})
+        asked, sent = plan.request(), packed(plan)
+        for found in (asked["data"], asked["options"]["color"], sent["data"], sent["options"]["color"]):
+            assert found == expected
+        assert sent["options"]["crs"] == wkt

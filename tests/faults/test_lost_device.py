@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from faults.scene import SIZE, Place, walk
 from orogen.errors import DeviceLostError, GpuError
 from orogen.gpu import Text, open_gpu
 from orogen.shading.style import Style
-from orogen.terrain import ATTEMPTS, Terrain
+from orogen.terrain import Terrain
 from orogen.view import renderer as module
+from orogen.view.recovery import ATTEMPTS
 from orogen.view.renderer import Picture
 
 
@@ -22,10 +24,10 @@ def same(picture: Picture, clean: Picture) -> None:
     np.testing.assert_allclose(picture.reverse_depth, clean.reverse_depth, atol=1e-7)
 
 
-def lose_between(place: Place, clean: list[Picture], times: int) -> None:
+def lose_between(place: Place, clean: list[Picture], times: int, first: int = 0) -> None:
     cameras = walk()
     with place.terrain() as terrain:
-        for number in range(times):
+        for number in range(first, first + times):
             at = number % len(cameras)
             same(terrain.render(cameras[at], SIZE, samples=1), clean[at])
             device = terrain.device
@@ -46,8 +48,12 @@ def test_the_next_picture_is_right(place: Place, clean: list[Picture], caplog: p
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
-def test_the_next_picture_is_right_a_hundred_times(place: Place, clean: list[Picture]) -> None:
-    lose_between(place, clean, 100)
+@pytest.mark.parametrize("part", range(10))
+def test_the_next_picture_is_right_a_hundred_times(
+    place: Place, clean: list[Picture], part: int, record_property: Callable[[str, object], None]
+) -> None:
+    lose_between(place, clean, 10, first=10 * part)
+    record_property("devices lost", 10)
 
 
 @pytest.mark.parametrize("moment", ["settle", "_submit_sample", "_draw"])

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, seed, settings
 from hypothesis.stateful import (
     RuleBasedStateMachine,
     initialize,
@@ -44,6 +45,8 @@ GRID = Grid(SHAPE[1], SHAPE[0], (10.0, 0.0, 5e5, 0.0, -10.0, 4e6))
 SLOTS = 14
 SETTINGS = ClipmapSettings(view_distance=0.8, memory=SLOTS * 373_000, host_memory=2 << 20)
 NO_SLOT = 0xFFFF
+PARTS = 16
+"""Of the nightly run, so that processes can share it."""
 
 
 @cache
@@ -77,6 +80,8 @@ class Model(RuleBasedStateMachine):
 
     gpu: Gpu
     built: Pyramid
+    steps: int
+    """Those after which everything was compared."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -187,6 +192,7 @@ class Model(RuleBasedStateMachine):
 
     @invariant()
     def budgets_hold(self) -> None:
+        type(self).steps += 1
         layer = self.clipmap.heights
         assert self.atlas_bytes() - self.before <= SETTINGS.memory
         assert layer.tiles.size + len(layer._loader._ready) * layer.atlas.upload_bytes <= SETTINGS.host_memory
@@ -265,7 +271,7 @@ def model(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> type[Model]:
     monkeypatch.setattr(Gpu, "texture", texture)
     monkeypatch.setattr(Gpu, "buffer", buffer)
     with open_pyramid(ArraySource(samples(), "/data/model.tif", GRID)) as built:
-        yield type("Bound", (Model,), {"gpu": gpu, "built": built})
+        yield type("Bound", (Model,), {"gpu": gpu, "built": built, "steps": 0})
 
 
 QUIET = {
@@ -279,9 +285,17 @@ def test_some_hundred_steps(model: type[Model]) -> None:
     run_state_machine_as_test(
         model, settings=settings(max_examples=8, stateful_step_count=30, derandomize=True, **QUIET)
     )
+    assert model.steps >= 150
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3000)
-def test_ten_thousand_steps(model: type[Model]) -> None:
-    run_state_machine_as_test(model, settings=settings(max_examples=200, stateful_step_count=50, **QUIET))
+@pytest.mark.parametrize("part", range(PARTS))
+def test_ten_thousand_steps(model: type[Model], part: int, record_property: Callable[[str, object], None]) -> None:
+    number = part
+    while model.steps < 10_000 // PARTS:
+        run_state_machine_as_test(
+            seed(number)(model), settings=settings(max_examples=10, stateful_step_count=50, **QUIET)
+        )
+        number += PARTS
+    record_property("steps of the model", model.steps)

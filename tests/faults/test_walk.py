@@ -77,7 +77,7 @@ def one_fails(
         ("decode", 1),
         ("decode", 20),
         ("allocation", 5),
-        ("allocation", 22),
+        ("allocation", 20),
         ("upload", 3),
         ("upload", 100),
     ],

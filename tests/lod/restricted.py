@@ -33,17 +33,27 @@ def unculled(frame: Frame) -> Unculled:
     return Unculled(**{field.name: getattr(frame, field.name) for field in dataclasses.fields(frame)})
 
 
-def some_cameras(scene: Scene, count: int, seed: int) -> list[Camera]:
-    """Over and beside the terrain, near and far."""
+def some_cameras(
+    scene: Scene,
+    count: int,
+    seed: int,
+    *,
+    lowest: float = 60.0,
+    spread: tuple[float, float] = (0.5, 3.3),
+    up: float = 0.0,
+    roll: float = 0.0,
+) -> list[Camera]:
+    """Over and beside the terrain, near and far: `lowest` + 10^`spread` metres high, looking down to `up` degrees."""
     random = np.random.default_rng(seed)
     width, height = scene.pyramid.grid.width, scene.pyramid.grid.height
     return [
         scene.camera(
             random.uniform(-0.2, 1.2) * width,
             random.uniform(-0.2, 1.2) * height,
-            60 + 10 ** random.uniform(0.5, 3.3),
+            lowest + 10 ** random.uniform(*spread),
             heading=random.uniform(0, 360),
-            pitch=random.uniform(-90, 0),
+            pitch=random.uniform(-90, up),
+            **({"roll": random.uniform(-roll, roll)} if roll else {}),
         )
         for _ in range(count)
     ]

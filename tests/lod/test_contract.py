@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +62,12 @@ def landscape(name: str) -> Heights:
         rows, columns = np.mgrid[:SIDE, : SIDE + 20]
         # multiples of 1/4: exact in float32, so that the samples themselves are on the plane
         rough = (1.25 * columns - 2.75 * rows + 700).astype(np.float32)
-    return rough
+    return np.rint(rough) if name == "metres" else rough
+
+
+def stored(name: str) -> NDArray[Any]:
+    """A landscape as it is opened: whole metres as integers, of which the GPU holds 16 bits."""
+    return landscape(name).astype(np.int16) if name == "metres" else landscape(name)
 
 
 @pytest.fixture(scope="module", params=algorithms())
@@ -82,7 +88,7 @@ def draw(gpu: Gpu, rasterizer: str, algorithm: str) -> Iterator[Draw]:
         **scene: object,
     ) -> Picture:
         if (terrain, clipmap) not in renderers:
-            pyramid = open_pyramid(open_height(landscape(terrain), spacing=SPACING))
+            pyramid = open_pyramid(open_height(stored(terrain), spacing=SPACING))
             renderers[terrain, clipmap] = Renderer(gpu, pyramid, name=algorithm, clipmap=clipmap, rasterizer=rasterizer)
         return renderers[terrain, clipmap].render(camera, size, scene=Scene(**scene))
 
@@ -159,6 +165,11 @@ def test_standard_views_of_rough_ground(draw: Draw, view: str) -> None:
     picture = draw("rough", cameras("rough")[view])
     assert (picture.reverse_depth > 0).sum() > 500
     check(picture, landscape("rough"))
+
+
+@pytest.mark.parametrize("view", ["low", "valley"])
+def test_heights_of_16_bits(draw: Draw, view: str) -> None:
+    check(draw("metres", cameras("metres")[view]), landscape("metres"))
 
 
 def test_the_views_are_those_of_the_benchmark() -> None:
@@ -288,25 +299,35 @@ def test_a_rotated_georeference(gpu: Gpu, rasterizer: str, algorithm: str, tmp_p
 
 @pytest.fixture(scope="module")
 def wide() -> Heights:
-    """Several nodes wide and high, with steep walls across node borders."""
-    rough = hills(740, 3000.0, seed=11).astype(np.float32)[:600]
+    """Several nodes wide and high, with steep walls across node borders; whole metres."""
+    rough = np.rint(hills(740, 3000.0, seed=11).astype(np.float32)[:600])
     rough[250:262] += 200
     return rough
 
 
 @pytest.fixture(scope="module")
-def mixed(gpu: Gpu, rasterizer: str, algorithm: str, wide: Heights) -> Iterator[Renderer]:
-    """Level 0 near the camera only, coarser nodes beyond."""
-    pyramid = open_pyramid(open_height(wide, spacing=SPACING))
+def mixed(gpu: Gpu, rasterizer: str, algorithm: str, wide: Heights) -> Iterator[Callable[[int], Renderer]]:
+    """Level 0 near the camera only, coarser nodes beyond; heights of 16 or 32 bits."""
+    pyramid = open_pyramid(open_height(wide.astype(np.int16), spacing=SPACING))
     settings = ClipmapSettings(view_distance=0.5, load_distance=0.5, memory=32 << 20)
-    with closing(Renderer(gpu, pyramid, name=algorithm, clipmap=settings, rasterizer=rasterizer)) as renderer:
+    with ExitStack() as opened:
+
+        @cache
+        def renderer(bits: int) -> Renderer:
+            chosen = replace(settings, height_bits=bits)
+            found = Renderer(gpu, pyramid, name=algorithm, clipmap=chosen, rasterizer=rasterizer)
+            return opened.enter_context(closing(found))
+
         yield renderer
 
 
-@pytest.mark.parametrize("view", ["low", "high", "edge", "straight down"])
-def test_no_cracks_between_levels(mixed: Renderer, wide: Heights, view: str) -> None:
-    surface = TrueSurface(wide)
-    picture = mixed.render(standard_cameras(mixed.clipmap.grid, surface)[view], SIZE)
+@pytest.mark.parametrize(
+    ("view", "bits"), [("low", 16), ("high", 16), ("edge", 16), ("straight down", 16), ("low", 32), ("edge", 32)]
+)
+def test_no_cracks_between_levels(mixed: Callable[[int], Renderer], wide: Heights, view: str, bits: int) -> None:
+    surface, renderer = TrueSurface(wide), mixed(bits)
+    assert renderer.clipmap.heights.format.bits == bits
+    picture = renderer.render(standard_cameras(renderer.clipmap.grid, surface)[view], SIZE)
     frame = picture.frame
     true = truth(frame, wide)
     # coarser data are a few pixels off by themselves; tears are not

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lod import restricted
 from lod.farcry5_twin import Node, Twin
 from lod.patches import torn_edges
 from lod.scene import Buffers, Scene, noise
@@ -106,19 +107,7 @@ def assert_same_but_for_ties(one: Buffers, other: Buffers) -> None:
 
 def some_cameras(scene: Scene, count: int, seed: int) -> list[Camera]:
     """Over, beside and far above the terrain, looking anywhere; the last one is orthographic."""
-    random = np.random.default_rng(seed)
-    width, height = scene.pyramid.grid.width, scene.pyramid.grid.height
-    cameras = [
-        scene.camera(
-            random.uniform(-0.2, 1.2) * width,
-            random.uniform(-0.2, 1.2) * height,
-            60 + 10 ** random.uniform(0.5, 3.3),
-            heading=random.uniform(0, 360),
-            pitch=random.uniform(-90, 10),
-            roll=random.uniform(-20, 20),
-        )
-        for _ in range(count)
-    ]
+    cameras = restricted.some_cameras(scene, count, seed, up=10, roll=20)
     return [*cameras[:-1], cameras[-1].moved(orthographic=700.0, pitch=-40.0)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from lod.around import COLUMNS, ROWS, SIZE, some_frames
 from lod.patches import torn_edges
 from lod.scene import Scene, noise
 from lod.strips import read_strips
@@ -30,10 +30,6 @@ from orogen.lod.geometry_image_warping import Settings
 from orogen.lod.geometry_image_warping.region import nearest, rows_run_along_x, seen_region, sketch_lattice
 
 NAME = "geometry_image_warping"
-ROWS, COLUMNS = 180, 220
-SIZE = (96, 64)
-METRES = np.array([[10.0, 5.0], [3.0, -9.0]])
-"""A sheared georeference: sides of the data are not at right angles."""
 PIXEL = np.dtype([("at", "f4", 2), ("height", "f4"), ("importance", "f4")])
 LOW_OVER_PUGET = (
     (117000.0, 85000.0, 5200.0, 112.0, -7.0),
@@ -44,49 +40,6 @@ LOW_OVER_PUGET = (
 """Cameras in metres of the data (x, y, z), heading and pitch in degrees."""
 
 Floats = NDArray[np.float64]
-
-
-def slope() -> NDArray[np.float32]:
-    rows, columns = np.mgrid[:ROWS, :COLUMNS]
-    # multiples of 1/4 are exact
-    return (1.25 * columns - 0.75 * rows + 200).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def plane(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, slope())) as scene:
-        yield scene
-
-
-@pytest.fixture(scope="module")
-def sheared_plane(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, slope(), metres=METRES)) as scene:
-        yield scene
-
-
-@pytest.fixture(scope="module")
-def hilly(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, hills(COLUMNS, 500.0).astype(np.float32)[:ROWS])) as scene:
-        yield scene
-
-
-def some_frames(scene: Scene, count: int, seed: int, ground: float = 300.0) -> Iterator[Frame]:
-    """Over, beside, below and far above the terrain; straight down, up, rolled, wide, narrow, orthographic, bent."""
-    random = np.random.default_rng(seed)
-    rows, columns = scene.pyramid.grid.shape
-    for k in range(count):
-        angles = {
-            "heading": random.uniform(0, 360),
-            "pitch": [random.uniform(-90, 20), -90.0, random.uniform(-90, -5), random.uniform(30, 89)][k % 4],
-            "roll": [0.0, random.uniform(-180, 180)][k % 2],
-            "fov": float(random.choice([20, 45, 90, 150])),
-        }
-        if k % 4 == 2:
-            angles["orthographic"] = 10 ** random.uniform(2, 3.7)
-        at = random.uniform(-0.4, 1.4, 2) * [columns, rows]
-        z = ground * random.uniform(0, 1) if k % 5 == 4 else ground + 10 ** random.uniform(0.3, 3.5)
-        camera = scene.camera(*at.tolist(), float(z), **angles)
-        yield scene.frame(camera, SIZE, curvature=k % 3 == 1, exaggeration=(1.0, 3.0, 0.3)[k % 3])
 
 
 def read_images(scene: Scene, frame: Frame, state: AlgorithmView) -> tuple[NDArray[Any], NDArray[Any]]:

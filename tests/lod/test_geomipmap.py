@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lod import restricted
 from lod.patches import torn_edges
 from lod.scene import SPACING, Scene, noise
 from lod.triangles import as_unculled, read_triangles, with_area
 from oracle.landscapes import hills
-from orogen.camera import Camera
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu
@@ -56,19 +57,7 @@ def inner_points(count: int, seed: int = 5) -> NDArray[np.float64]:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def some_cameras(scene: Scene, count: int, seed: int) -> list[Camera]:
-    random = np.random.default_rng(seed)
-    width, height = scene.pyramid.grid.width, scene.pyramid.grid.height
-    return [
-        scene.camera(
-            random.uniform(-0.2, 1.2) * width,
-            random.uniform(-0.2, 1.2) * height,
-            100 + 10 ** random.uniform(1.0, 3.4),
-            heading=random.uniform(0, 360),
-            pitch=random.uniform(-90, 10),
-        )
-        for _ in range(count)
-    ]
+some_cameras = partial(restricted.some_cameras, lowest=100, spread=(1.0, 3.4), up=10)
 
 
 @pytest.fixture(scope="module", params=[(75, 60), (49, 65), (2, 3), (60, 2)], ids=str)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import ConvexHull
 
+from lod.around import COLUMNS, ROWS, SIZE, slope, some_frames
 from lod.patches import VERTEX, torn_edges
 from lod.scene import Buffers, Scene, noise
 from lod.strips import read_strips
@@ -31,10 +31,6 @@ from orogen.lod.contract import AlgorithmView, Patches
 from orogen.lod.pgm import TAILORING, TESSELLATION, WARPING, Settings
 from orogen.lod.pgm.outline import Projector, data_corners, find_outline, ground_points, visible_volume
 
-ROWS, COLUMNS = 180, 220
-SIZE = (96, 64)
-METRES = np.array([[10.0, 5.0], [3.0, -9.0]])
-"""A sheared georeference: sides of the data are not at right angles."""
 PGM: dict[str, Any] = {"tailoring": "off", "warping": "off", "edge_search": False}
 PGM_T = {**PGM, "tailoring": "hull"}
 PGM_TE = {**PGM_T, "edge_search": True}
@@ -57,48 +53,6 @@ def combinations() -> list[dict[str, Any]]:
         {"tailoring": t, "warping": w, "edge_search": k % 2 == 0, "tessellation": TESSELLATION[k % 4 % 3]}
         for k, (t, w) in enumerate(ways)
     ]
-
-
-def slope() -> NDArray[np.float32]:
-    rows, columns = np.mgrid[:ROWS, :COLUMNS]
-    # multiples of 1/4 are exact
-    return (1.25 * columns - 0.75 * rows + 200).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def plane(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, slope())) as scene:
-        yield scene
-
-
-@pytest.fixture(scope="module")
-def sheared_plane(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, slope(), metres=METRES)) as scene:
-        yield scene
-
-
-@pytest.fixture(scope="module")
-def hilly(gpu: Gpu) -> Iterator[Scene]:
-    with closing(Scene(gpu, hills(COLUMNS, 500.0).astype(np.float32)[:ROWS])) as scene:
-        yield scene
-
-
-def some_frames(scene: Scene, count: int, seed: int, ground: float = 300.0) -> Iterator[Frame]:
-    """Over, beside, below and far above the terrain; straight down, up, rolled, wide, narrow, orthographic, bent."""
-    random = np.random.default_rng(seed)
-    for k in range(count):
-        angles = {
-            "heading": random.uniform(0, 360),
-            "pitch": [random.uniform(-90, 20), -90.0, random.uniform(-90, -5), random.uniform(30, 89)][k % 4],
-            "roll": [0.0, random.uniform(-180, 180)][k % 2],
-            "fov": float(random.choice([20, 45, 90, 150])),
-        }
-        if k % 4 == 2:
-            angles["orthographic"] = 10 ** random.uniform(2, 3.7)
-        at = random.uniform(-0.4, 1.4, 2) * [COLUMNS, ROWS]
-        z = ground * random.uniform(0, 1) if k % 5 == 4 else ground + 10 ** random.uniform(0.3, 3.5)
-        camera = scene.camera(*at.tolist(), float(z), **angles)
-        yield scene.frame(camera, SIZE, curvature=k % 3 == 1, exaggeration=(1.0, 3.0, 0.3)[k % 3])
 
 
 def read_grid(scene: Scene, frame: Frame, state: AlgorithmView) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -18,6 +18,7 @@ from orogen.keys import level_shape
 from orogen.pyramid import Pyramid, build_pyramid, open_pyramid, update_pyramid
 from orogen.source import open_colour, open_height
 from orogen.source.rounding import Rounding
+from rasters import write_tiled as write
 
 SHAPE = (2070, 650)
 
@@ -26,19 +27,6 @@ def hills(shape: tuple[int, int] = SHAPE, seed: int = 1) -> NDArray[np.float32]:
     y, x = np.indices(shape)
     rough = np.random.default_rng(seed).normal(0, 3, shape)
     return (900 + 400 * np.sin(x / 160) * np.cos(y / 145) + rough).astype(np.float32)
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    profile = {
-        "driver": "GTiff", "tiled": True, "blockxsize": 256, "blockysize": 256, "crs": "EPSG:32633",
-        "transform": from_origin(500_000, 5_000_000, 30, 30), "compress": "zstd", **profile,
-    }  # fmt: skip
-    bands = data[None] if data.ndim == 2 else data
-    with rasterio.open(
-        path, "w", count=len(bands), dtype=data.dtype, height=bands.shape[1], width=bands.shape[2], **profile
-    ) as dataset:
-        dataset.write(bands)
-    return path
 
 
 @pytest.fixture
@@ -110,6 +98,30 @@ def test_colours_are_kept_beside_the_heights(dem: Path, tmp_path: Path) -> None:
         with orogen.open(tmp_path / "out.zarr" / "height", color=tmp_path / "out.zarr" / "second-one") as terrain:
             assert terrain.colors is not None
             assert_same(terrain.colors, expected)
+
+
+def test_mosaics_of_heights_and_of_images_become_layers(tmp_path: Path) -> None:
+    heights = hills((400, 700), 3)
+    pixels = np.random.default_rng(3).integers(0, 256, (3, 400, 700)).astype(np.uint8)
+    place = {"transform": from_origin(500_000, 5_000_000, 30, 30)}
+    write(tmp_path / "dem.tif", heights, **place)
+    write(tmp_path / "image.tif", pixels, photometric="RGB", **place)
+    for col in (0, 350):
+        part = np.s_[..., col : col + 350]
+        place = {"transform": from_origin(500_000 + 30 * col, 5_000_000, 30, 30)}
+        write(tmp_path / f"dem_{col}.tif", heights[part], **place)
+        write(tmp_path / f"image_{col}.tif", pixels[part], photometric="RGB", **place)
+    many = str(tmp_path / "dem_*.tif"), str(tmp_path / "image_*.tif")
+    built = build_pyramid(many[0], tmp_path / "out.zarr", color=many[1], layers={"again": many[0]})
+    assert sorted(built.layers) == ["again", "color", "height"]
+    dem = open_height(tmp_path / "dem.tif")
+    with open_pyramid(dem) as expected, open_pyramid(open_colour(tmp_path / "image.tif", dem)) as image:
+        with orogen.open(tmp_path / "out.zarr") as terrain:
+            assert_same(terrain.heights, expected)
+            assert terrain.colors is not None
+            assert_same(terrain.colors, image)
+        with open_pyramid(open_height(tmp_path / "out.zarr" / "again")) as again:
+            assert_same(again, expected)
 
 
 def test_several_heights(dem: Path, tmp_path: Path) -> None:

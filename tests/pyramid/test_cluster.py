@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 
 from orogen.errors import SettingsError
 from orogen.pyramid import build_pyramid, update_pyramid
+from rasters import TILED, write
 
 distributed = pytest.importorskip("distributed")
 
@@ -29,27 +29,14 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def write(path: Path, data: np.ndarray, **profile: object) -> Path:
-    count, (height, width) = (3, data.shape[1:]) if data.ndim == 3 else (1, data.shape)
-    with rasterio.open(
-        path, "w", driver="GTiff", count=count, dtype=data.dtype, height=height, width=width, compress="zstd",
-        crs="EPSG:32633", transform=rasterio.Affine(30, 0, 0, 0, -30, 0), **profile,
-    ) as dataset:  # fmt: skip
-        dataset.write(data if data.ndim == 3 else data[None])
-    return path
-
-
-TILES = {"tiled": True, "blockxsize": 256, "blockysize": 256}
-
-
-@pytest.mark.parametrize("layout", [TILES, {"blockysize": 300}])
+@pytest.mark.parametrize("layout", [TILED, {"blockysize": 300}])
 def test_a_cluster_gives_the_bytes_that_threads_give(address: str, tmp_path: Path, layout: dict[str, object]) -> None:
     rng = np.random.default_rng(1)
     data = rng.normal(900, 200, (2100, 400)).astype(np.float32)
     data[5:90, 40:99] = np.nan
     dem = write(tmp_path / "dem.tif", data, **layout)
     image = write(
-        tmp_path / "image.tif", rng.integers(0, 256, (3, 300, 300)).astype(np.uint8), photometric="RGB", **TILES
+        tmp_path / "image.tif", rng.integers(0, 256, (3, 300, 300)).astype(np.uint8), photometric="RGB", **TILED
     )
     options = {"color": image, "max_error": 0.3}
     build_pyramid(dem, tmp_path / "threads.zarr", **options)

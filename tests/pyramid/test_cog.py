@@ -5,32 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
-from rasterio.transform import from_origin
 
 from orogen.errors import OutputError, SettingsError
 from orogen.keys import level_shape
 from orogen.pyramid import build_pyramid, open_pyramid
 from orogen.source import open_height
+from rasters import write_tiled as write
 
 SHAPE = (1307, 1711)
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    profile = {
-        "driver": "GTiff", "tiled": True, "blockxsize": 256, "blockysize": 256, "crs": "EPSG:32633",
-        "transform": from_origin(500_000, 5_000_000, 30, 30), "compress": "zstd", **profile,
-    }  # fmt: skip
-    with rasterio.open(
-        path, "w", count=1, dtype=data.dtype, height=data.shape[0], width=data.shape[1], **profile
-    ) as dataset:
-        dataset.write(data, 1)
-    return path
 
 
 @pytest.fixture

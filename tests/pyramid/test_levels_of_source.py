@@ -22,6 +22,7 @@ from orogen.pyramid import Pyramid, open_pyramid
 from orogen.source import open_colour, open_height
 from orogen.source.procedural import ProceduralSettings, ProceduralSource
 from orogen.source.raster import RasterFile
+from rasters import TILED, write
 
 TAIWAN = "taiwan_20m_10481x19401_int16.tif"
 Builds = Literal["auto", "wait", "background", "never"]
@@ -32,23 +33,11 @@ def everything(pyramid: Pyramid, level: int) -> tuple[slice, slice]:
     return slice(0, rows), slice(0, cols)
 
 
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    """A tiled GeoTIFF of (bands,) rows, columns."""
-    bands = data if data.ndim == 3 else data[None]
-    count, rows, cols = bands.shape
-    with rasterio.open(
-        path, "w", driver="GTiff", width=cols, height=rows, count=count, dtype=data.dtype, crs="EPSG:32651",
-        transform=from_origin(300_000, 2_700_000, 20, 20), tiled=True, blockxsize=256, blockysize=256, **profile,
-    ) as file:  # fmt: skip
-        file.write(bands)
-    return path
-
-
 def cog(folder: Path, data: NDArray[Any], resampling: str, **profile: Any) -> Path:
     """A COG as GDAL writes it: sizes of overviews are rounded down."""
     path = folder / f"cog-{resampling}.tif"
     copy(
-        str(write(folder / "plain.tif", data, **profile)), str(path),
+        str(write(folder / "plain.tif", data, **TILED, **profile)), str(path),
         driver="COG", overview_resampling=resampling, blocksize=256, compress="DEFLATE",
     )  # fmt: skip
     return path
@@ -67,10 +56,16 @@ def taiwan(data_dir: Path) -> NDArray[np.int16]:
         return file.read(1, window=((6000, 8601), (4000, 6163)))
 
 
-@pytest.fixture(scope="module", params=["AVERAGE", "CUBIC"])
+@pytest.fixture(scope="module", params=["AVERAGE", "CUBIC", 3, 5])
 def steep(request: pytest.FixtureRequest, taiwan: NDArray[np.int16], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A COG of it, in a folder of its own."""
-    return cog(tmp_path_factory.mktemp("steep"), taiwan, request.param, nodata=-32768)
+    """A COG of it, in a folder of its own; or a GeoTIFF with overviews of odd factors."""
+    folder = tmp_path_factory.mktemp("steep")
+    if isinstance(request.param, str):
+        return cog(folder, taiwan, request.param, nodata=-32768)
+    path = write(folder / "odd.tif", taiwan, **TILED, nodata=-32768)
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([request.param**n for n in (1, 2, 3)], Resampling.average)
+    return path
 
 
 # A source that makes its own levels
@@ -118,7 +113,7 @@ def test_windows_of_built_bounds(tmp_path: Path) -> None:
 
 
 def test_a_file_without_overviews_is_built(tmp_path: Path) -> None:
-    path = write(tmp_path / "plain.tif", np.zeros((2100, 2100), np.int16))
+    path = write(tmp_path / "plain.tif", np.zeros((2100, 2100), np.int16), **TILED)
     with open_pyramid(open_height(path), cache=tmp_path / "cache", build="never") as pyramid:
         assert not pyramid.available(1)
         assert not pyramid.exact
@@ -127,7 +122,7 @@ def test_a_file_without_overviews_is_built(tmp_path: Path) -> None:
 
 
 def test_overviews_that_do_not_go_far_enough_are_not_used(tmp_path: Path) -> None:
-    path = write(tmp_path / "plain.tif", np.zeros((300, 40_000), np.int8), sparse_ok=True)
+    path = write(tmp_path / "plain.tif", np.zeros((300, 40_000), np.int8), sparse_ok=True, **TILED)
     with rasterio.open(path, "r+") as file:
         file.build_overviews([2], Resampling.average)
     with open_pyramid(open_height(path), cache=tmp_path / "cache", build="never") as pyramid:
@@ -182,7 +177,7 @@ def test_real_ground_is_near_the_means(steep: Path) -> None:
             assert apart.mean() <= 0.025 * texel, level
             assert apart[:-1, :-1].max() <= 0.4 * texel, level
             # the last ones reach past the raster, where either goes on along its own slope
-            assert apart.max() <= 1.2 * texel, level
+            assert apart.max() <= 1.25 * texel, level
         low, high = built.height_range
         assert own.height_range == pytest.approx((low, high), abs=0.05 * (high - low))
 

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 import rasterio
 from numpy.typing import NDArray
-from rasterio.transform import from_origin
 
 from orogen.errors import OutputError, SettingsError, SourceError, StoreError
 from orogen.keys import level_shape
 from orogen.pyramid import Pyramid, build, open_pyramid
 from orogen.source import cache, open_colour, open_height, survey
+from rasters import write_tiled as write
 
 SHAPE = (700, 900)
 
@@ -31,18 +31,6 @@ def heights(shape: tuple[int, int] = SHAPE, seed: int = 1) -> NDArray[np.int16]:
     y, x = np.indices(shape)
     rough = np.random.default_rng(seed).integers(0, 30, shape)
     return (1000 + 400 * np.sin(x / 60) * np.cos(y / 45) + rough).astype(np.int16)
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    profile = {
-        "driver": "GTiff", "tiled": True, "blockxsize": 256, "blockysize": 256, "crs": "EPSG:32633",
-        "transform": from_origin(500_000, 5_000_000, 30, 30), **profile,
-    }  # fmt: skip
-    with rasterio.open(
-        path, "w", count=1, dtype=data.dtype, height=data.shape[0], width=data.shape[1], **profile
-    ) as dataset:
-        dataset.write(data, 1)
-    return path
 
 
 @pytest.fixture

@@ -5,18 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
-from numpy.typing import NDArray
 
 from orogen.errors import OutputError
 from orogen.pyramid import build, build_pyramid, places
 from orogen.pyramid.regions import Region
 from orogen.pyramid.task import Cancelled, Job, Part, make_region
 from orogen.source.stored import recognises
+from rasters import write_tiled
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 
@@ -42,17 +42,6 @@ sys.stdout.write(str(left))
 """Kills itself at the n-th time that it touches a file of the output."""
 
 
-def write(path: Path, data: NDArray[np.generic]) -> Path:
-    count, (height, width) = (3, data.shape[1:]) if data.ndim == 3 else (1, data.shape)
-    with rasterio.open(
-        path, "w", driver="GTiff", count=count, dtype=data.dtype, height=height, width=width, tiled=True,
-        blockxsize=256, blockysize=256, compress="zstd", transform=rasterio.Affine(30, 0, 0, 0, -30, 0),
-        crs="EPSG:32633", photometric="RGB" if count == 3 else "MINISBLACK",
-    ) as dataset:  # fmt: skip
-        dataset.write(data if data.ndim == 3 else data[None])
-    return path
-
-
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("data")
@@ -61,7 +50,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     heights = (500 * np.sin(x / 60) * np.cos(y / 45) + rng.normal(0, 3, SHAPE)).astype(np.float32)
     heights[2000:2100, 100:200] = np.nan
     colours = rng.integers(0, 255, (3, 2100, 165)).astype(np.uint8)
-    return write(folder / "heights.tif", heights), write(folder / "image.tif", colours)
+    image = write_tiled(folder / "image.tif", colours, photometric="RGB")
+    return write_tiled(folder / "heights.tif", heights), image
 
 
 @pytest.fixture(scope="module")
@@ -83,14 +73,15 @@ def run(data: tuple[Path, Path], out: Path, moment: int) -> subprocess.Completed
     )
 
 
-def check(data: tuple[Path, Path], expected: dict[str, bytes], out: Path, seed: int, moments: int) -> None:
-    """Kill a build twice, then let it end."""
-    rng = np.random.default_rng(seed)
+def check(data: tuple[Path, Path], expected: dict[str, bytes], out: Path, seed: int, moments: int) -> int:
+    """Kill a build twice, then let it end. How often it was killed: it may have ended before."""
+    rng, kills = np.random.default_rng(seed), 0
     for _ in range(2):
         done = run(data, out, int(rng.integers(1, moments)))
         assert done.returncode in (0, -9), done.stderr
         # either not there, or complete
         assert not out.exists() or tree(out) == expected
+        kills += done.returncode == -9
         if done.returncode == 0:
             break
     if not out.exists():
@@ -98,6 +89,7 @@ def check(data: tuple[Path, Path], expected: dict[str, bytes], out: Path, seed: 
     assert tree(out) == expected
     left = [path.name for path in out.parent.iterdir() if path != out]
     assert [name for name in left if ".removed-" not in name] == []
+    return kills
 
 
 def test_a_killed_build_goes_on_and_gives_the_same_bytes(
@@ -126,8 +118,14 @@ def test_a_killed_build_goes_on_and_gives_the_same_bytes(
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("seed", range(40))
-def test_kills_at_many_moments(data: tuple[Path, Path], expected: dict[str, bytes], tmp_path: Path, seed: int) -> None:
-    check(data, expected, tmp_path / "out.zarr", 100 + seed, 400)
+def test_kills_at_many_moments(
+    data: tuple[Path, Path],
+    expected: dict[str, bytes],
+    tmp_path: Path,
+    seed: int,
+    record_property: Callable[[str, object], None],
+) -> None:
+    record_property("builds killed", check(data, expected, tmp_path / "out.zarr", 100 + seed, 400))
 
 
 def test_a_stopped_build_goes_on(

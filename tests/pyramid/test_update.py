@@ -5,17 +5,16 @@ from __future__ import annotations
 import os
 import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import rasterio
 from numpy.typing import NDArray
 
 from orogen.errors import StoreError
 from orogen.pyramid import build_pyramid, open_pyramid, update_pyramid
 from orogen.pyramid.task import Cancelled
 from orogen.source import open_height
+from rasters import write_tiled as write
 
 SHAPE = (2119, 2109)
 """Two rows and two columns of regions of 2048 x 2048, the last ones short."""
@@ -25,17 +24,6 @@ def heights(seed: int = 1) -> NDArray[np.float32]:
     y, x = np.ogrid[: SHAPE[0], : SHAPE[1]]
     rough = np.random.default_rng(seed).integers(-9, 9, SHAPE)
     return (500 * np.sin(x / 160) * np.cos(y / 145) + rough).astype(np.float32)
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    layout = {"tiled": True, "blockxsize": 256, "blockysize": 256} | profile
-    count, (height, width) = (3, data.shape[1:]) if data.ndim == 3 else (1, data.shape)
-    with rasterio.open(
-        path, "w", driver="GTiff", count=count, dtype=data.dtype, height=height, width=width, crs="EPSG:32633",
-        transform=rasterio.Affine(30, 0, 0, 0, -30, 0), compress="zstd", zstd_level=1, **layout,
-    ) as dataset:  # fmt: skip
-        dataset.write(data if data.ndim == 3 else data[None])
-    return path
 
 
 def tree(folder: Path) -> dict[str, bytes]:

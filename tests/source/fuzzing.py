@@ -311,6 +311,7 @@ def main(folder: Path, first: int, count: int) -> None:
         seconds = time.process_time() - start
         tell({"outcome": outcome, "seconds": seconds, "memory": peak() - idle})
         path.unlink()
+    assert "wgpu" not in sys.modules, "opening a raster takes no GPU"
 
 
 if __name__ == "__main__":

@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height, survey
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
+from orogen.source import open_colour, open_height, survey
+from rasters import everything
 
 
 def hills(rows: int = 40, cols: int = 50, dtype: str = "float64") -> NDArray[Any]:

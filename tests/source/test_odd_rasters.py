@@ -15,42 +15,12 @@ import numpy as np
 import pytest
 import rasterio
 import rasterio.shutil
-from numpy.typing import NDArray
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine, from_origin
 
 from orogen.errors import SourceError
-from orogen.source import Source, open_height, survey
-
-DEGREES = {"crs": "EPSG:4326", "transform": from_origin(15, 45, 0.01, 0.01)}
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    """A GeoTIFF of one band (or of those of a three-dimensional array), in UTM unless `profile` says otherwise."""
-    bands = data if data.ndim == 3 else data[None]
-    place = {"crs": "EPSG:32633", "transform": from_origin(500_000, 5_000_000, 30, 30)}
-    profile = {"driver": "GTiff", "dtype": data.dtype, "count": len(bands), **place, **profile}
-    with rasterio.open(path, "w", height=bands.shape[1], width=bands.shape[2], **profile) as dataset:
-        dataset.write(bands)
-    return path
-
-
-def hills(rows: int = 60, cols: int = 70, dtype: str = "int16") -> NDArray[Any]:
-    y, x = np.indices((rows, cols))
-    return (1000 + 300 * np.sin(x / 20) * np.cos(y / 15) + x / 7).astype(dtype)
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
-
-
-@pytest.fixture(params=[True, False], ids=["in memory", "by window"])
-def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read files whole, as small ones are, and by window, as large ones are."""
-    if not request.param:
-        monkeypatch.setattr(survey, "IN_MEMORY", 0)
-
+from orogen.source import open_height
+from rasters import DEGREES, everything, hills, write
 
 # -- types and layouts ----------------------------------------------------------------------------------------------
 
@@ -311,6 +281,71 @@ def test_a_wrong_checksum_of_a_deflate_block_is_told(tmp_path: Path) -> None:
     with rasterio.open(path) as dataset:
         dataset.read(1)
     with pytest.raises(SourceError, match=r"a\.tif: cannot be read as a raster: .*column 1, row 2 .* damaged"):
+        open_height(path)
+
+
+@pytest.mark.parametrize(("tag", "true", "forged"), [(256, 52, 60), (257, 40, 20)], ids=["width", "height"])
+def test_a_deflate_strip_of_another_size_is_told(tmp_path: Path, tag: int, true: int, forged: int) -> None:
+    """GDAL leaves samples unset."""
+    path = write(tmp_path / "a.tif", hills(40, 52), compress="deflate", blockysize=40)
+    data = path.read_bytes()
+    entry = struct.pack("<HHIHH", tag, 3, 1, true, 0)
+    assert data.count(entry) == 1
+    path.write_bytes(data.replace(entry, struct.pack("<HHIHH", tag, 3, 1, forged, 0)))
+    with pytest.raises(SourceError, match=r"a\.tif: cannot be read as a raster"):
+        open_height(path)
+
+
+def test_bits_and_bands_in_deflate_blocks_are_no_damage(tmp_path: Path) -> None:
+    odd = hills(41, 53).astype(np.uint16) % 4096
+    for options in ({"nbits": 12}, {"tiled": True, "blockxsize": 16, "blockysize": 32}, {"blockysize": 7}):
+        path = write(tmp_path / "a.tif", odd, compress="deflate", **options)
+        np.testing.assert_array_equal(everything(open_height(path)), odd)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64"])
+def test_compressed_imagine_files_equal_rasterio(tmp_path: Path, dtype: str) -> None:
+    flat = np.repeat(np.arange(200), 2)[None, :] // 37 + np.zeros((150, 1))
+    for name, data in (("hills", hills(150, 400) // 11), ("flat", flat), ("level", np.full((150, 400), 7))):
+        path = tmp_path / f"{name}.img"
+        rasterio.shutil.copy(write(tmp_path / "a.tif", data.astype(dtype)), path, driver="HFA", COMPRESSED="YES")
+        with rasterio.open(path) as dataset:
+            expected = dataset.read(1).astype(np.float64)
+        np.testing.assert_array_equal(everything(open_height(path)), expected)
+
+
+@pytest.mark.parametrize("what", ["runs", "types"])
+def test_damaged_runs_of_an_imagine_file_are_told(tmp_path: Path, what: str) -> None:
+    """GDAL reads either as if nothing had happened, and shows what was in memory."""
+    path = tmp_path / "a.img"
+    flat = np.repeat(np.arange(64), 64).reshape(64, 64)
+    rasterio.shutil.copy(write(tmp_path / "a.tif", flat.astype(np.int16)), path, driver="HFA", COMPRESSED="YES")
+    data = bytearray(path.read_bytes())
+    # the only block: its least value, 64 runs whose lengths take two bytes each, and where their values begin
+    start = next(n for n in range(len(data) - 12) if struct.unpack_from("<iII", data, n) == (0, 64, 13 + 128))
+    if what == "runs":
+        struct.pack_into("<I", data, start + 4, 60)
+    else:
+        at = data.index(b"1:Loffset,1:lsize,")
+        data[at + 2 : at + 3] = b"s"
+    path.write_bytes(data)
+    with rasterio.open(path) as dataset:
+        dataset.read(1)
+    with pytest.raises(SourceError, match=r"a\.img: cannot be read as a raster: damaged IMAGINE file"):
+        open_height(path)
+
+
+def test_a_jpeg2000_of_more_tiles_than_it_has_room_for_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.jp2"
+    rasterio.shutil.copy(
+        write(tmp_path / "a.tif", hills(300, 400).astype(np.int16)), path, driver="JP2OpenJPEG", REVERSIBLE="YES",
+        QUALITY=100, BLOCKXSIZE=64, BLOCKYSIZE=64,
+    )  # fmt: skip
+    np.testing.assert_array_equal(everything(open_height(path)), hills(300, 400).astype(np.int16))
+    data = bytearray(path.read_bytes())
+    struct.pack_into(">I", data, data.index(bytes.fromhex("ff4fff51")) + 8, 1 << 20)
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=r"a\.jp2: .*damaged JPEG 2000, 1048576 x 300 samples in tiles of 64 x 64"):
         open_height(path)
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rasterio.enums import ColorInterp
 from rasterio.transform import from_origin
 
-from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height, survey
+from orogen.errors import SettingsError, SourceError
+from orogen.source import Source, open_colour, open_height
+from rasters import everything
 
 TRANSFORM = from_origin(500_000, 5_000_000, 30, 30)
 
@@ -21,12 +22,6 @@ TRANSFORM = from_origin(500_000, 5_000_000, 30, 30)
 @pytest.fixture
 def heights() -> Source:
     return open_height(np.zeros((20, 30)), spacing=10)
-
-
-@pytest.fixture(params=[True, False], ids=["in memory", "by window"])
-def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not request.param:
-        monkeypatch.setattr(survey, "IN_MEMORY", 0)
 
 
 def image(path: Path, bands: NDArray[Any], **profile: Any) -> Path:
@@ -37,11 +32,6 @@ def image(path: Path, bands: NDArray[Any], **profile: Any) -> Path:
     ) as dataset:
         dataset.write(bands)
     return path
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
 
 
 def noise(bands: int, seed: int = 1, top: int = 256, dtype: str = "uint8") -> NDArray[Any]:
@@ -163,5 +153,5 @@ def test_arrays_that_are_no_picture_are_refused(heights: Source, pixels: NDArray
 def test_files_that_are_no_picture_and_unknown_extents_are_refused(tmp_path: Path, heights: Source) -> None:
     with pytest.raises(SourceError, match=r"a\.tif: expected colours of type uint8 or uint16, got float32"):
         open_colour(image(tmp_path / "a.tif", noise(3).astype(np.float32)), heights)
-    with pytest.raises(SourceError, match="expected 'pixels' or 'samples', got 'edges'"):
+    with pytest.raises(SettingsError, match="expected 'pixels' or 'samples', got 'edges'"):
         open_colour(np.zeros((2, 2), np.uint8), heights, color_extent="edges")  # type: ignore[arg-type]

@@ -11,42 +11,11 @@ import numpy as np
 import pytest
 import rasterio
 import rasterio.shutil
-from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.transform import from_origin
 
-from orogen.errors import SourceError
-from orogen.source import Source, open_height, survey
-
-UTM = {"crs": "EPSG:32633", "transform": from_origin(500_000, 5_000_000, 30, 30)}
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    """A GeoTIFF of one band, in UTM unless `profile` says otherwise."""
-    profile = {"driver": "GTiff", "count": 1, "dtype": data.dtype, **UTM, **profile}
-    after = {key: profile.pop(key) for key in ("scales", "offsets", "units") if key in profile}
-    with rasterio.open(path, "w", height=data.shape[0], width=data.shape[1], **profile) as dataset:
-        dataset.write(data, 1)
-        for key, value in after.items():
-            setattr(dataset, key, (value,))
-    return path
-
-
-def hills(rows: int, cols: int, dtype: str = "int16") -> NDArray[Any]:
-    y, x = np.indices((rows, cols))
-    return (1000 + 300 * np.sin(x / 20) * np.cos(y / 15) + x / 7).astype(dtype)
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
-
-
-@pytest.fixture(params=[True, False], ids=["in memory", "by window"])
-def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read files whole, as small ones are, and by window, as large ones are."""
-    if not request.param:
-        monkeypatch.setattr(survey, "IN_MEMORY", 0)
+from orogen.errors import SettingsError, SourceError
+from orogen.source import open_height, survey
+from rasters import everything, hills, write
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64"])
@@ -266,12 +235,16 @@ def test_tiled_files_are_direct_and_others_are_not(tmp_path: Path, monkeypatch: 
         ({"height_offset": float("inf")}, "height_offset: expected a finite number"),
         ({"vertical_units": "cubits"}, "expected one of metre, foot"),
         ({"crs": "EPSG:nonsense"}, "crs: expected 'EPSG:n' or WKT"),
-        ({"crs": "EPSG:4326", "spacing": 1}, "in degrees"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(SourceError, match=message):
+    with pytest.raises(SettingsError, match=message):
         open_height(hills(4, 4), **options)
+
+
+def test_a_spacing_in_metres_does_not_fit_degrees() -> None:
+    with pytest.raises(SourceError, match="in degrees"):
+        open_height(hills(4, 4), crs="EPSG:4326", spacing=1)
 
 
 @pytest.mark.parametrize(

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
+from orogen.source import open_colour, open_height
+from rasters import everything
 
 
 def test_taiwan(data_dir: Path) -> None:

@@ -296,6 +296,37 @@ def test_object_stores(site: Site, file: bytes, data: NDArray[np.int16], monkeyp
         open_height("s3://bucket")
 
 
+@pytest.mark.parametrize(
+    ("url", "place", "endpoint"),
+    [
+        ("gs://bucket/dem.tif", "/bucket/dem%2Etif", "GOOGLE_BASE_URL"),
+        ("az://box/dem.tif", "/box/dem.tif", "AZURE_STORAGE_ENDPOINT"),
+        ("abfs://box@account.dfs.core.windows.net/dem.tif", "/box/dem.tif", "AZURE_STORAGE_ENDPOINT"),
+    ],
+)
+def test_other_object_stores(site: Site, monkeypatch: pytest.MonkeyPatch, url: str, place: str, endpoint: str) -> None:
+    """A small file, which is read whole, and all of it through the store."""
+    small = relief()[:300, :400]
+    site.files[place] = cog(small)
+    site.modified = "Mon, 23 Nov 2026 08:00:00 GMT"
+    monkeypatch.setenv(endpoint, site.url)
+    monkeypatch.setenv("GS_NO_SIGN_REQUEST", "YES")
+    monkeypatch.setenv("AZURE_NO_SIGN_REQUEST", "YES")
+    if url.startswith("az"):
+        with pytest.raises(SourceError, match=r"az://box/dem\.tif: .*set AZURE_STORAGE_ACCOUNT"):
+            open_height(url)
+        monkeypatch.setenv("AZURE_STORAGE_ACCOUNT", "account")
+    source = open_height(url)
+    assert source.name == url
+    np.testing.assert_array_equal(source.read(slice(0, 300), slice(0, 400)), small)
+    source.close()
+    asked = [request.path for request in site.requests]
+    assert set(asked) == {place}
+    assert len(asked) <= 5, "read once, by the store alone"
+    with pytest.raises(SourceError, match=rf"{url.replace('dem', 'none')}: no such file"):
+        open_height(url.replace("dem", "none"))
+
+
 def test_names_of_gdal_are_left_to_gdal(site: Site, data: NDArray[np.int16]) -> None:
     source = open_height(f"/vsicurl/{site.url}/dem.tif")
     np.testing.assert_array_equal(source.read(slice(0, 9), slice(0, 9)), truth(data)[:9, :9])

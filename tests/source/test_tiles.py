@@ -18,10 +18,11 @@ from rasterio.transform import from_origin
 from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
 
-from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height
+from orogen.errors import SettingsError, SourceError
+from orogen.source import open_colour, open_height
 from orogen.source.contract import overviews_of
 from orogen.source.packed import recognised
+from rasters import everything
 from source.web import Site, serve
 
 ZOOM = 12
@@ -82,11 +83,6 @@ def write(folder: Path, files: dict[str, bytes]) -> Path:
     return folder
 
 
-def whole(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
-
-
 def corner(x: int, y: int, zoom: int) -> tuple[float, float]:
     """Longitude and latitude of the upper left corner of a tile."""
     latitude = math.degrees(math.atan(math.sinh(math.pi * (1 - 2 * y / 2**zoom))))
@@ -104,7 +100,7 @@ def test_a_single_image_is_recognised(tmp_path: Path, encoding: str, named: bool
     data = ground(200, 300)
     (tmp_path / "tile.png").write_bytes(image(encoded(data, encoding)))
     source = open_height(tmp_path / "tile.png", spacing=30, encoding=encoding if named else None)
-    np.testing.assert_allclose(whole(source), data, atol=ENCODINGS[encoding][0] / 2 + 1e-3)
+    np.testing.assert_allclose(everything(source), data, atol=ENCODINGS[encoding][0] / 2 + 1e-3)
 
 
 def test_the_real_tile_is_terrain_rgb(data_dir: Path) -> None:
@@ -113,7 +109,7 @@ def test_the_real_tile_is_terrain_rgb(data_dir: Path) -> None:
     red, green, blue = bands[:3].astype(np.float64)
     assert recognised(bands) == "terrain-rgb"
     source = open_height(data_dir / "fuji_terrainrgb_512.png", spacing=30)
-    np.testing.assert_allclose(whole(source), -10_000 + (red * 65536 + green * 256 + blue) * 0.1, atol=1e-3)
+    np.testing.assert_allclose(everything(source), -10_000 + (red * 65536 + green * 256 + blue) * 0.1, atol=1e-3)
 
 
 def test_the_real_heights_in_terrarium_are_recognised_and_pictures_are_not(data_dir: Path) -> None:
@@ -133,7 +129,7 @@ def test_a_picture_needs_its_encoding(tmp_path: Path) -> None:
     (tmp_path / "photo.png").write_bytes(image(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)))
     with pytest.raises(SourceError, match=r"photo\.png: a picture of 3 band.*encoding="):
         open_height(tmp_path / "photo.png", spacing=30)
-    with pytest.raises(SourceError, match="encoding: expected 'terrain-rgb' or 'terrarium', got 'rgb'"):
+    with pytest.raises(SettingsError, match="encoding: expected 'terrain-rgb' or 'terrarium', got 'rgb'"):
         open_height(tmp_path / "photo.png", spacing=30, encoding="rgb")
 
 
@@ -144,7 +140,7 @@ def test_a_folder_is_one_raster_at_its_place(
 ) -> None:
     source = open_height(write(tmp_path, tree(heights, encoding, suffix)))
     assert source.grid.shape == heights.shape
-    np.testing.assert_allclose(whole(source), heights, atol=0.06 if encoding == "terrain-rgb" else 0.003)
+    np.testing.assert_allclose(everything(source), heights, atol=0.06 if encoding == "terrain-rgb" else 0.003)
     assert source.direct
     left, bottom, right, top = source.grid.bounds
     for (x, y), place in (((WEST, NORTH), (left, top)), ((WEST + 3, NORTH + 2), (right, bottom))):
@@ -182,19 +178,19 @@ def test_missing_tiles_are_nodata(tmp_path: Path, heights: NDArray[np.float64]) 
     source = open_height(write(tmp_path, files))
     expected = heights.copy()
     expected[:SIZE, SIZE : 2 * SIZE] = np.nan
-    np.testing.assert_allclose(whole(source), expected, atol=0.06)
+    np.testing.assert_allclose(everything(source), expected, atol=0.06)
     assert not source.covered
 
 
 def test_zoom_area_and_a_change(tmp_path: Path, heights: NDArray[np.float64]) -> None:
     write(tmp_path, tree(heights, "terrain-rgb"))
     coarse = open_height(tmp_path, zoom=ZOOM - 1)
-    known = np.isfinite(whole(coarse))
-    np.testing.assert_allclose(whole(coarse)[known], heights[::2, ::2].ravel(), atol=0.06)
+    known = np.isfinite(everything(coarse))
+    np.testing.assert_allclose(everything(coarse)[known], heights[::2, ::2].ravel(), atol=0.06)
     west, north = corner(WEST + 1, NORTH + 1, ZOOM)
     east, south = corner(WEST + 2, NORTH + 2, ZOOM)
     part = open_height(tmp_path, area=(west + 1e-6, south + 1e-6, east - 1e-6, north - 1e-6))
-    np.testing.assert_allclose(whole(part), heights[SIZE:, SIZE : 2 * SIZE], atol=0.06)
+    np.testing.assert_allclose(everything(part), heights[SIZE:, SIZE : 2 * SIZE], atol=0.06)
     before = open_height(tmp_path).fingerprint
     assert open_height(tmp_path).fingerprint == before
     write(tmp_path, tree(heights + 500, "terrain-rgb", zooms=1))
@@ -203,20 +199,20 @@ def test_zoom_area_and_a_change(tmp_path: Path, heights: NDArray[np.float64]) ->
         open_height(tmp_path, zoom=5)
     with pytest.raises(SourceError, match="no tile of zoom 12 lies in the area"):
         open_height(tmp_path, area=(0, 0, 1, 1))
-    with pytest.raises(SourceError, match="area: expected"):
+    with pytest.raises(SettingsError, match="area: expected"):
         open_height(tmp_path, area=(1, 0, 0, 1))
-    with pytest.raises(SourceError, match="zoom= and area= are for trees of map tiles"):
+    with pytest.raises(SettingsError, match="zoom= and area= are for trees of map tiles"):
         open_height(np.zeros((4, 4)), zoom=3)
 
 
 def test_rows_from_the_south(tmp_path: Path, heights: NDArray[np.float64]) -> None:
     write(tmp_path, tree(heights, "terrain-rgb", south=True))
     by_template = open_height(f"{tmp_path}/{{z}}/{{x}}/{{-y}}.png")
-    np.testing.assert_allclose(whole(by_template), heights, atol=0.06)
+    np.testing.assert_allclose(everything(by_template), heights, atol=0.06)
     (tmp_path / "tilemapresource.xml").write_text("<TileMap/>")
     by_file = open_height(tmp_path)
     assert by_file.grid == by_template.grid
-    np.testing.assert_array_equal(whole(by_file), whole(by_template))
+    np.testing.assert_array_equal(everything(by_file), everything(by_template))
 
 
 def test_another_order_of_folders(tmp_path: Path, heights: NDArray[np.float64]) -> None:
@@ -225,7 +221,7 @@ def test_another_order_of_folders(tmp_path: Path, heights: NDArray[np.float64]) 
         z, x, y = name.removesuffix(".png").split("/")
         files[f"z{z}/row{y}_{x}.png"] = data
     write(tmp_path, files)
-    np.testing.assert_allclose(whole(open_height(f"{tmp_path}/z{{z}}/row{{y}}_{{x}}.png")), heights, atol=0.06)
+    np.testing.assert_allclose(everything(open_height(f"{tmp_path}/z{{z}}/row{{y}}_{{x}}.png")), heights, atol=0.06)
     with pytest.raises(SourceError, match=r"expected \{z\}, \{x\} and \{y\}"):
         open_height(f"{tmp_path}/{{z}}/{{x}}.png")
 
@@ -241,18 +237,18 @@ def test_what_is_no_tile_of_heights_is_refused(tmp_path: Path, heights: NDArray[
     mixed = tree(heights, "terrain-rgb", zooms=1)
     mixed[f"{ZOOM}/{WEST}/{NORTH}.png"] = image(encoded(ground(512, 512), "terrain-rgb"))
     with pytest.raises(SourceError, match=r"of 256 x 256 pixels, got 512 x 512|of 512 x 512 pixels, got"):
-        whole(open_height(write(tmp_path / "mixed", mixed)))
+        everything(open_height(write(tmp_path / "mixed", mixed)))
     broken = tree(heights, "terrain-rgb", zooms=1)
     broken[f"{ZOOM}/{WEST}/{NORTH}.png"] = broken[f"{ZOOM}/{WEST}/{NORTH}.png"][:300]
     with pytest.raises(SourceError, match=rf"{NORTH}\.png: cannot be read as an image"):
-        whole(open_height(write(tmp_path / "broken", broken)))
+        everything(open_height(write(tmp_path / "broken", broken)))
 
 
 def test_tiles_of_512_pixels(tmp_path: Path) -> None:
     data = ground(512, 512)
     source = open_height(write(tmp_path, {f"{ZOOM}/{WEST}/{NORTH}.png": image(encoded(data, "terrarium"))}))
     assert source.grid.shape == (512, 512)
-    np.testing.assert_allclose(whole(source), data, atol=0.003)
+    np.testing.assert_allclose(everything(source), data, atol=0.003)
 
 
 def test_another_crs_is_warped_bilinearly(tmp_path: Path, heights: NDArray[np.float64]) -> None:
@@ -264,9 +260,9 @@ def test_another_crs_is_warped_bilinearly(tmp_path: Path, heights: NDArray[np.fl
     moved = transform(CRS.from_epsg(32651), CRS.from_epsg(3857), x.ravel(), y.ravel())
     tx, ty = plain.grid.to_texel(*moved)
     at = np.arange(heights.shape[0]) + 0.5, np.arange(heights.shape[1]) + 0.5
-    expected = RegularGridInterpolator(at, whole(plain), bounds_error=False)(np.stack([ty, tx], axis=-1))
+    expected = RegularGridInterpolator(at, everything(plain), bounds_error=False)(np.stack([ty, tx], axis=-1))
     expected = expected.reshape(rows, cols)
-    found = whole(source)
+    found = everything(source)
     inside = np.isfinite(expected)
     assert inside.mean() > 0.8
     np.testing.assert_allclose(found[inside], expected[inside], atol=0.01)
@@ -300,12 +296,12 @@ def area() -> tuple[float, float, float, float]:
 def test_a_template_of_a_server(site: Site, heights: NDArray[np.float64], form: str) -> None:
     template = f"{site.url}/{form}"
     source = open_height(template, zoom=ZOOM, area=area())
-    np.testing.assert_allclose(whole(source), heights, atol=0.003)
+    np.testing.assert_allclose(everything(source), heights, atol=0.003)
     assert "s3cret" not in source.name
     source.close()
     asked = len(site.requests)
     again = open_height(template, zoom=ZOOM, area=area())
-    np.testing.assert_allclose(whole(again), heights, atol=0.003)
+    np.testing.assert_allclose(everything(again), heights, atol=0.003)
     assert len(site.requests) == asked  # kept on disk
     again.close()
 
@@ -343,7 +339,7 @@ def test_colours_are_laid_over_heights(tmp_path: Path) -> None:
     heights = open_height(write(tmp_path / "heights", tree(ground(512, 768), "terrarium")))
     colours = open_colour(tmp_path / "photo", heights)
     assert colours.grid == heights.grid
-    pixels = whole(colours)
+    pixels = everything(colours)
     assert (pixels[..., 3] == 255).all()
     stored = np.asarray(Image.open(io.BytesIO(files[f"{ZOOM}/{WEST + 1}/{NORTH}.jpg"])))
     np.testing.assert_array_equal(pixels[:SIZE, SIZE : 2 * SIZE, :3], stored)

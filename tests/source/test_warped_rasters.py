@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 import rasterio.shutil
-from numpy.typing import NDArray
 from rasterio.enums import Resampling
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
@@ -17,38 +15,9 @@ from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform
 
 from orogen.errors import SourceError
-from orogen.source import Source, open_colour, open_height, survey
+from orogen.source import open_colour, open_height
 from orogen.source.vertical import require_alike
-
-DEGREES = {"crs": "EPSG:4326", "transform": from_origin(15, 45, 0.01, 0.01)}
-
-
-def write(path: Path, data: NDArray[Any], **profile: Any) -> Path:
-    """A GeoTIFF of one band (or of those of a three-dimensional array), in UTM unless `profile` says otherwise."""
-    bands = data if data.ndim == 3 else data[None]
-    place = {"crs": "EPSG:32633", "transform": from_origin(500_000, 5_000_000, 30, 30)}
-    profile = {"driver": "GTiff", "dtype": data.dtype, "count": len(bands), **place, **profile}
-    with rasterio.open(path, "w", height=bands.shape[1], width=bands.shape[2], **profile) as dataset:
-        dataset.write(bands)
-    return path
-
-
-def hills(rows: int = 60, cols: int = 70, dtype: str = "int16") -> NDArray[Any]:
-    y, x = np.indices((rows, cols))
-    return (1000 + 300 * np.sin(x / 20) * np.cos(y / 15) + x / 7).astype(dtype)
-
-
-def everything(source: Source) -> NDArray[Any]:
-    rows, cols = source.grid.shape
-    return source.read(slice(0, rows), slice(0, cols))
-
-
-@pytest.fixture(params=[True, False], ids=["in memory", "by window"])
-def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read files whole, as small ones are, and by window, as large ones are."""
-    if not request.param:
-        monkeypatch.setattr(survey, "IN_MEMORY", 0)
-
+from rasters import DEGREES, everything, hills, write
 
 # -- datasets of rasterio -------------------------------------------------------------------------------------------
 

@@ -35,6 +35,8 @@ class Site:
     """Seconds before each answer."""
     etag: str | None = '"1"'
     """Entity tag of every file; None: none is sent."""
+    modified: str | None = None
+    """Time of change of every file, such as "Mon, 23 Nov 2026 08:00:00 GMT"; None: none is sent."""
     ranges: bool = True
     """Whether range requests are honoured."""
     fault: Callable[[Request, int], int | str | None] = lambda request, count: None
@@ -120,6 +122,8 @@ def serve(site: Site) -> Iterator[Site]:
                 self.send_header("Accept-Ranges", "bytes")
             if site.etag and status < 300:
                 self.send_header("ETag", site.etag)
+            if site.modified and status < 300:
+                self.send_header("Last-Modified", site.modified)
             for key, value in (extra or {}).items():
                 self.send_header(key, value)
             self.end_headers()

@@ -155,7 +155,7 @@ class Prober:
     def __init__(self, gpu: Gpu) -> None:
         self._gpu = gpu
         self._layout = gpu.layout("probe", {0: ("COMPUTE", "read"), 1: ("COMPUTE", "storage")})
-        self._pipelines: dict[tuple[str, int], Any] = {}
+        self._pipelines: dict[tuple[str, Any], Any] = {}
 
     def __call__(
         self,
@@ -171,7 +171,7 @@ class Prober:
     ) -> NDArray[np.float32]:
         """(n, 4) of a vec4 expression at texel coordinates (float64) of the heights."""
         clipmap, gpu = view.clipmap, self._gpu
-        key = expression, clipmap.settings.node_size
+        key = expression, tuple(clipmap.constants.items())
         if key not in self._pipelines:
             shader = gpu.shader(
                 "probe",

@@ -14,8 +14,11 @@ from orogen.errors import BudgetError
 from orogen.gpu import Gpu, Text, Texture
 from orogen.keys import NodeKey
 from orogen.streaming.atlas import MaximaBuilder, NodeAtlas, color_attachments, height_attachments
+from orogen.streaming.heightformat import FLOATS, HeightFormat
 from orogen.streaming.settings import HEIGHT_BORDER
 from orogen.streaming.tiles import ColorNode, HeightNode
+
+WHOLE = HeightFormat(16, 1 / 32, -1000.0)
 
 
 @pytest.fixture
@@ -81,17 +84,20 @@ def test_slots_are_never_shared_and_wanted_nodes_never_lost(small: NodeAtlas) ->
         assert all(small.resident[key] == slot for key, slot in kept.items())
 
 
-def read_layer(gpu: Gpu, texture: Texture, layer: int) -> NDArray[np.float32]:
+def read_layer(gpu: Gpu, texture: Texture, layer: int) -> NDArray[Any]:
     """(rows, columns) of a single-channel array texture that cannot be copied from."""
     width, height = texture.size
+    whole = texture.format.endswith("uint")
+    scalar = "u32" if whole else "f32"
     code = f"""
-    @group(0) @binding(0) var source: texture_2d_array<f32>;
-    @group(0) @binding(1) var<storage, read_write> target: array<f32>;
+    @group(0) @binding(0) var source: texture_2d_array<{scalar}>;
+    @group(0) @binding(1) var<storage, read_write> target: array<{scalar}>;
     @compute @workgroup_size(8, 8) fn copy(@builtin(global_invocation_id) id: vec3<u32>) {{
         if (id.x >= {width}u || id.y >= {height}u) {{ return; }}
         target[id.y * {width}u + id.x] = textureLoad(source, vec2<i32>(id.xy), {layer}, 0).x;
     }}"""
-    layout = gpu.layout("copy", {0: ("COMPUTE", "texture unfilterable 2d-array"), 1: ("COMPUTE", "storage")})
+    kind = f"texture {'uint' if whole else 'unfilterable'} 2d-array"
+    layout = gpu.layout("copy", {0: ("COMPUTE", kind), 1: ("COMPUTE", "storage")})
     pipeline = gpu.compute("copy", gpu.shader("copy", Text("copy", code.replace("target", "sink"))), "copy", [layout])
     sink = gpu.buffer("copy", 4 * width * height, "STORAGE|COPY_SRC", "test")
     encoder = gpu.encoder("copy")
@@ -101,7 +107,7 @@ def read_layer(gpu: Gpu, texture: Texture, layer: int) -> NDArray[np.float32]:
     run.dispatch_workgroups(-(-width // 8), -(-height // 8))
     run.end()
     gpu.submit(encoder)
-    return gpu.read_buffer(sink, dtype=np.float32).result().reshape(height, width)
+    return gpu.read_buffer(sink, dtype=np.uint32 if whole else np.float32).result().reshape(height, width)
 
 
 def maxima_place(level: int, size: int) -> tuple[int, int]:
@@ -124,13 +130,13 @@ def highest(samples: NDArray[np.float32], level: int, size: int) -> NDArray[np.f
     return samples
 
 
-@pytest.mark.parametrize("size", [256, 512])
-def test_maxima_of_every_block_of_every_level(gpu: Gpu, size: int) -> None:
-    atlas = NodeAtlas(gpu, "test", height_attachments(size, covered=True), 3, 1 << 30, 1)
-    builder = MaximaBuilder(gpu, atlas, size.bit_length() - 1)
+@pytest.mark.parametrize(("size", "form"), [(256, FLOATS), (256, WHOLE), (512, WHOLE)])
+def test_maxima_of_every_block_of_every_level(gpu: Gpu, size: int, form: HeightFormat) -> None:
+    atlas = NodeAtlas(gpu, "test", height_attachments(size, True, form), 3, 1 << 30, 1)
+    builder = MaximaBuilder(gpu, atlas, size.bit_length() - 1, form)
     rng = np.random.default_rng(6)
     side = size + 2 * HEIGHT_BORDER
-    nodes = {slot: rng.normal(-500, 100, (side, side)).astype(np.float32) for slot in (0, 1, 2)}
+    nodes = {slot: form.encode(rng.normal(-500, 100, (side, side)).astype(np.float32)) for slot in (0, 1, 2)}
     for slot, heights in nodes.items():
         atlas.upload(slot, HeightNode(heights, None, 0.0, 0.0, np.zeros((0, 0, 2))))
     builder.build([2, 0])
@@ -141,7 +147,9 @@ def test_maxima_of_every_block_of_every_level(gpu: Gpu, size: int) -> None:
             row, col = maxima_place(level, size)
             count = (size >> level) + 1
             np.testing.assert_array_equal(
-                found[row : row + count, col : col + count], highest(nodes[slot], level, size), f"level {level}"
+                found[row : row + count, col : col + count],
+                highest(form.decode(nodes[slot]), level, size),
+                f"level {level}",
             )
         # nothing is allotted in vain
         assert found.shape == (row + count, size // 2 + 1 + size // 4 + 1)
@@ -149,10 +157,11 @@ def test_maxima_of_every_block_of_every_level(gpu: Gpu, size: int) -> None:
     atlas.destroy()
 
 
-def test_uploads_reach_their_slots(gpu: Gpu) -> None:
+@pytest.mark.parametrize("form", [FLOATS, WHOLE])
+def test_uploads_reach_their_slots(gpu: Gpu, form: HeightFormat) -> None:
     rng = np.random.default_rng(7)
-    atlas = NodeAtlas(gpu, "test", height_attachments(256, covered=False), 2, 1 << 30, 1)
-    heights = rng.normal(size=(260, 260)).astype(np.float32)
+    atlas = NodeAtlas(gpu, "test", height_attachments(256, False, form), 2, 1 << 30, 1)
+    heights = form.encode(rng.normal(size=(260, 260)).astype(np.float32))
     coverage = rng.integers(0, 256, (260, 260)).astype(np.uint8)
     atlas.upload(1, HeightNode(heights, coverage, 0.0, 0.0, np.zeros((0, 0, 2))))
     np.testing.assert_array_equal(read_layer(gpu, atlas.textures["height"], 1), heights)

@@ -18,8 +18,12 @@ from orogen.gpu import Gpu, Text
 from orogen.grid import EARTH_RADIUS, Grid
 from orogen.streaming import blocks
 from orogen.streaming.clipmap import SEARCH
+from orogen.streaming.heightformat import FLOATS
 
-CONSTANTS = {"NODE_BITS": 8, "HEIGHT_BORDER": 2, "COLOR_BORDER": 8, "MAX_ANISOTROPY": 8}
+CONSTANTS = {
+    "NODE_BITS": 8, "HEIGHT_BORDER": 2, "COLOR_BORDER": 8, "MAX_ANISOTROPY": 8, "COVERED": False,
+    "ANY_HIT": False, **FLOATS.constants,
+}  # fmt: skip
 UTM = Grid(5000, 4000, (2.0, 0.3, 1e7, 0.4, -3.0, 9.3e6))
 
 
@@ -98,7 +102,7 @@ class FrameProbe:
         )
         target = gpu.buffer("answers", values.nbytes, "STORAGE|COPY_SRC", "test")
         group = {
-            0: gpu.buffer("frame", np.asarray(blocks.frame_block(frame)).reshape(1).view(np.uint8), "UNIFORM", "test"),
+            0: gpu.buffer("frame", blocks.frame_block(frame), "UNIFORM", "test"),
             1: gpu.buffer("given", values, "STORAGE", "test"),
             2: target,
         }
@@ -209,9 +213,9 @@ def test_subtexels_of_the_largest_node_fit_32_bits(width: int, node_size: int) -
 def test_colours_lie_where_both_georeferences_say(north_up: Callable[..., Grid]) -> None:
     colors = Grid(700, 900, (1.5, -0.2, 1e7 + 40, 0.1, -2.5, 9.3e6 - 30))
     frame = Frame(CAMERAS[0], UTM, (37, 23))
-    matrix, anchor, offset = blocks.color_mapping(frame, colors, 8)
+    matrix, anchor, offset = (np.array(part) for part in blocks.color_mapping(frame, colors, 8))
     assert ((offset >= 0) & (offset < 1)).all()
     texel = np.random.default_rng(4).uniform(0, 4000, (50, 2))
-    found = matrix @ (texel * 256 - frame.anchor).T + (anchor + offset)[:, None]
+    found = matrix.reshape(2, 2) @ (texel * 256 - frame.anchor).T + (anchor + offset)[:, None]
     expected = np.array(colors.to_texel(*UTM.to_crs(*texel.T))) * 256
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3)

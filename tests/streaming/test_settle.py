@@ -159,6 +159,52 @@ def test_a_frame_uploads_no_more_than_it_may(built: Pyramid, clipmap_of: Any) ->
     assert frames >= total / budget
 
 
+def test_nodes_for_a_moving_camera_are_worked_out_now_and_then(
+    built: Pyramid, clipmap_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clipmap: Clipmap = clipmap_of(built, None, settings())
+    counted, original = [], module.wanted
+    monkeypatch.setattr(module, "wanted", lambda *given: counted.append(1) or original(*given))
+    view, other = clipmap.view(), clipmap.view()
+    flight = [view.frame_for(frame(300 + 90 * k, 400 + 80 * k)) for k in range(14)]
+    answers = []
+    for asked in flight:
+        view.want(asked, patient=True)
+        view.wishes[0] = [*view.wishes[0], NodeKey(0, 0, 0)]  # as algorithms add theirs
+        answers.append(len(counted))
+    assert answers == [1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4]
+    # once it rests, at once, and then no more
+    assert view.behind
+    for _ in range(3):
+        view.want(flight[-1], patient=True)
+        assert not view.behind
+        assert len(counted) == 5
+    other.want(replace(flight[-1]))
+    assert view.wishes == other.wishes
+    # without patience every frame is answered
+    for number, asked in enumerate(flight, start=len(counted) + 1):
+        other.want(asked)
+        assert not other.behind
+        assert len(counted) == number
+
+
+def test_a_frame_is_written_at_once(built: Pyramid, clipmap_of: Any, settle: Any, gpu: Gpu, probe: Any) -> None:
+    clipmap: Clipmap = clipmap_of(built, None, settings())
+    view, _ = settle(clipmap, frame(700, 800))
+    writes: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gpu, "write", lambda *given: writes.append(1) or Gpu.write(gpu, *given))
+        for k in range(4):
+            view.update(view.frame_for(frame(700 + 0.01 * k, 800)))
+    assert len(writes) == 4
+    # and what was written is what a new view writes
+    tx, ty = points()
+    fresh = clipmap.view()
+    fresh.update(view.frame_for(frame(700.03, 800)))
+    moved = view.frame_for(frame(700.03, 800))
+    np.testing.assert_array_equal(probe(view, moved, EXPRESSION, tx, ty), probe(fresh, moved, EXPRESSION, tx, ty))
+
+
 def test_nothing_is_drawn_before_the_coarsest_node_is_there(
     heights: NDArray, pyramid_of: Any, clipmap_of: Any, probe: Any
 ) -> None:

@@ -2,6 +2,7 @@ import base64
 import io
 import json
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 import orogen
+from oracle.frontend import FrontEnd
 from orogen.errors import OutputError
 from orogen.view import notebook
 from orogen.view.session import Session
@@ -39,6 +41,54 @@ def test_the_example_runs_in_a_kernel(monkeypatch, tmp_path):
     assert picture.std() > 20
     assert shown["application/vnd.jupyter.widget-view+json"]["model_id"]
     assert "(270, 480, 4), (270, 480)" in results[-1]["text/plain"]
+
+
+def test_the_example_s_widget_answers_its_page(monkeypatch, tmp_path, record_property):
+    """The cells up to the widget in a real kernel, and a page in front of it that speaks Jupyter's protocol."""
+    manager = pytest.importorskip("jupyter_client").KernelManager(kernel_name="python3")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("anywidget")
+    for name in ("JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "IPYTHONDIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    cells = [c for c in json.loads(EXAMPLE.read_text(encoding="utf-8"))["cells"] if c["cell_type"] == "code"]
+    codes = ["".join(cell["source"]) for cell in cells]
+    manager.start_kernel()
+    client = manager.blocking_client()
+    try:
+        client.start_channels()
+        client.wait_for_ready(timeout=60)
+        page = FrontEnd(client)
+        page.run(codes[0])
+        shown = page.run(codes[1])
+        model = shown["application/vnd.jupyter.widget-view+json"]["model_id"]
+        assert page.opened[model]["_esm"]
+        page.show(model, (320, 180))
+        before = page.settled(model).astype(int)
+        assert before.shape == (180, 320, 3)
+        # what is at rest is what the terrain renders from there
+        code = "import io, base64, numpy; base64.b64encode(terrain.render(view.window.controls.camera, (320, 180), "
+        code += "samples=16).color.tobytes()).decode()"
+        page.run("view.window.panel.visible = False")
+        page.tell(model, "key_down", key="F5")
+        plain = page.settled(model).astype(int)
+        pixels = base64.b64decode(page.run(code)["text/plain"].strip("'"))
+        expected = np.frombuffer(pixels, np.uint8).reshape(180, 320, 4)[..., :3].astype(int)
+        assert np.abs(plain[20:120, :250] - expected[20:120, :250]).mean() < 2
+        # events move it, and the next picture shows it
+        start = time.perf_counter()
+        page.tell(model, "wheel", x=160, y=90, dx=0.0, dy=-300.0)
+        page.picture(model)
+        record_property("input_to_picture_ms", round(1000 * (time.perf_counter() - start), 1))
+        after = page.settled(model).astype(int)
+        assert (np.abs(after - plain).max(axis=-1) > 8).mean() > 0.3
+        # what is no event does no harm
+        page.tell(model, "nonsense")
+        assert page.run("view.window.error is None")["text/plain"] == "True"
+        page.run(codes[-1])
+        assert model in page.closed
+    finally:
+        client.stop_channels()
+        manager.shutdown_kernel(now=True)
 
 
 def test_the_example_holds_no_results():
@@ -87,6 +137,9 @@ def test_the_widget_draws_what_the_front_end_asks_for(terrain, kernel):
             if len(sent) >= 3:
                 break
         view.close()
+        # what the GPU still reads back comes through this loop
+        terrain.renderer.gpu.wait()
+        await asyncio.sleep(0.1)
 
     asyncio.run(play())
     message, buffers = sent[-1]

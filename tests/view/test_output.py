@@ -11,7 +11,7 @@ from orogen.errors import OutputError, SettingsError
 from orogen.view import video as video_module
 from orogen.view.image import write_color, write_depth, write_position
 from orogen.view.output import check_output, publish
-from orogen.view.video import Encoder, VideoWriter
+from orogen.view.video import QUALITIES, Encoder, VideoWriter
 
 
 def picture(height=37, width=53, channels=3, seed=0):
@@ -231,3 +231,21 @@ def test_without_pyav_the_extra_is_named(tmp_path, monkeypatch):
 def test_bad_video_settings(tmp_path, size, fps):
     with pytest.raises(SettingsError, match="expected"):
         VideoWriter(tmp_path / "v.mp4", size, fps)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+def test_lower_quality_makes_smaller_files(tmp_path, suffix):
+    rng = np.random.default_rng(2)
+    ground = np.cumsum(np.cumsum(rng.normal(size=(96, 160, 3)), 0), 1)
+    frame = (127 + 90 * ground / np.abs(ground).max() + rng.normal(size=ground.shape) * 6).clip(0, 255)
+    sizes = []
+    for quality in QUALITIES:
+        path = tmp_path / f"{quality}{suffix}"
+        with VideoWriter(path, (160, 96), 25, quality=quality) as video:
+            for step in range(6):
+                video.write(np.roll(frame, 3 * step, axis=1).astype(np.uint8))
+        sizes.append(path.stat().st_size)
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[2] < 0.6 * sizes[0]
+    with pytest.raises(SettingsError, match="quality: expected one of high, medium, low, got 'best'"):
+        VideoWriter(tmp_path / "x.mp4", (160, 96), quality="best")

@@ -181,6 +181,8 @@ def test_graphs_and_the_speed_section(hands):
     assert latest.memory == hands.window.session.renderer.gpu.memory.total
     hands.slide("frame time (ms)", 0.9)
     assert hands.window.session.quality.settings.frame_time > 80
+    hands.slide("coarsest triangles", 0.9)
+    assert hands.window.session.quality.settings.coarsest_detail > 0.8
     hands.click("adapt to this machine")
     assert not hands.window.session.quality.settings.adaptive
 

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,14 +97,15 @@ def test_a_flight_is_recorded(hands):
 
 def test_a_flight_is_written_as_a_video(hands, tmp_path):
     av = pytest.importorskip("av")
-    from orogen.view.player import Exporter
+    from orogen.view.player import Exporter, VideoSettings
 
     panel, session = hands.window.panel, hands.window.session
     panel.keyframes.add(hands.window.controls.camera)
     panel.keyframes.add(hands.window.controls.camera.moved(z=hands.window.controls.camera.z + 500))
     panel.keyframes.set_time(1, 0.2)
     path = tmp_path / "flight.mkv"
-    panel.exporter = Exporter(session.renderer, panel.path(), path, (64, 48), 25, session.style, session.scene, 1)
+    wanted = VideoSettings((64, 48), 25, samples=1)
+    panel.exporter = Exporter(session.renderer, panel.path(), path, wanted, session.style, session.scene)
     while panel.exporter:
         hands.draw()
     with av.open(str(path)) as video:
@@ -113,11 +115,32 @@ def test_a_flight_is_written_as_a_video(hands, tmp_path):
     assert np.abs(frames[4].astype(int) - expected[..., :3]).max() <= 2
     # one that is given up leaves nothing
     gone = tmp_path / "gone.mkv"
-    panel.exporter = Exporter(session.renderer, panel.path(), gone, (64, 48), 25, session.style, session.scene, 1)
+    panel.exporter = Exporter(session.renderer, panel.path(), gone, wanted, session.style, session.scene)
     panel.frame(0.0)
     panel.exporter.cancel()
     panel.exporter = None
     assert [file.name for file in tmp_path.glob("*gone*")] == []
+
+
+def test_size_rate_and_quality_of_a_video_are_chosen_in_the_panel(hands, tmp_path):
+    av = pytest.importorskip("av")
+    panel = hands.window.panel
+    panel.keyframes.add(hands.window.controls.camera)
+    panel.keyframes.add(hands.window.controls.camera.moved(z=hands.window.controls.camera.z + 500))
+    panel.keyframes.set_time(1, 0.25)
+    section(hands, "Flight")
+    hands.type("video size", "64 x 48")
+    hands.type("video rate (1/s)", "12")
+    assert hands.widgets.problems == {}
+    panel.video = replace(panel.video, quality="low")
+    hands.type("video", str(tmp_path / "small.mp4"))
+    while panel.exporter:
+        hands.draw()
+    assert hands.widgets.problems == {}
+    with av.open(str(tmp_path / "small.mp4")) as video:
+        stream = video.streams.video[0]
+        assert (stream.width, stream.height, stream.average_rate) == (64, 48, 12)
+        assert sum(1 for _ in video.decode(video=0)) == 3
 
 
 def test_a_picture_of_any_size_is_written(hands, tmp_path):

@@ -25,8 +25,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from oracle.chromium import until
-from oracle.pages import CLIENTS, SIZE, Page, closing, hills, running
-from orogen.view.serve import Server, ServerSettings
+from oracle.pages import CLIENTS, SIZE, Page, at_rest, closing, hills, running
+from orogen.view.serve import Server, ServerSettings, drawing
+from orogen.view.serve.drawing import differs
 from orogen.view.serve.gate import is_local
 
 
@@ -101,6 +102,42 @@ def test_a_slow_page_gets_coarser_pictures_and_the_finest_at_rest(page, server):
         assert len(shapes) < 20
     assert client.pace.fineness.scale < 1
     assert page.settle().shape[:2] == SIZE[::-1]
+
+
+def test_a_picture_that_only_gets_smoother_is_sent_once(page, server, monkeypatch):
+    monkeypatch.setattr(renderer, "STILL_SAMPLES", 24)
+    page.settle()
+    (view,) = server._drawing._views.values()
+    # on a small machine all samples take longer
+    monkeypatch.setattr(drawing, "CALM", 60.0)
+    page.wheel(-1.0)
+    drawn, came = view.window.session._frames, []
+    page.wheel(-1.0)
+    while not came or not at_rest(server, view.client):
+        with contextlib.suppress(TimeoutError):
+            came.append(page.next(1.0))
+    # most of the samples at rest are drawn for the last picture alone
+    assert view.window.session._frames - drawn >= len(came) + 16
+    assert np.abs(came[-1] - terrain_picture(view, 24)).mean() < 2
+
+
+def terrain_picture(view, samples):
+    """What a page's camera sees, drawn for itself."""
+    window = view.window
+    picture = window.session.renderer.render(window.controls.camera, SIZE, window.session.style, samples=samples)
+    return picture.color[..., :3].astype(int)
+
+
+def test_how_much_is_seen_at_once():
+    rng = np.random.default_rng(0)
+    one = rng.integers(0, 255, (90, 160, 4), np.uint8)
+    assert not differs(one, one)
+    smooth = np.clip(one.astype(int) + rng.integers(-9, 9, one.shape), 0, 255).astype(np.uint8)
+    assert not differs(one, smooth)
+    changed = one.copy()
+    changed[20:50, 30:60, :3] ^= 128
+    assert differs(one, changed)
+    assert differs(one, one[:80])
 
 
 # -- who is let in -----------------------------------------------------------------------------------------------------
@@ -217,6 +254,13 @@ def resident():
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the memory that is held from /proc")
 def test_a_page_that_never_reads_stalls_nobody_and_is_given_up(page, server):
     page.settle()
+    alone = 0.0
+    for _ in range(3):
+        start = time.monotonic()
+        page.wheel(-30.0)
+        page.next()
+        alone = max(alone, time.monotonic() - start)
+    page.settle()
     deaf = Page(server, max_queue=1)
     deaf.resize((1200, 800))
     found = until(lambda: next((c for c in server._clients if c.size and c.size.width == 1200 and c._sent), None))
@@ -237,7 +281,8 @@ def test_a_page_that_never_reads_stalls_nobody_and_is_given_up(page, server):
         longest = max(longest, time.monotonic() - start)
 
     closing(pretend, look)
-    assert longest < 3
+    # the deaf page's own frames, of 27 times the pixels, stand between
+    assert longest < 3 + 5 * alone
     assert resident() - before < 100 << 20
     until(lambda: len(server._clients) == 1)
     page.wheel()

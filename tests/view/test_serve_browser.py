@@ -6,10 +6,12 @@ import contextlib
 import http.client
 import io
 import itertools
+import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -45,8 +47,6 @@ def server(terrain):
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
-# after many other tests the address sometimes never comes
-@pytest.mark.nightly
 def test_the_command_prints_an_address_that_works_and_ends_on_ctrl_c(tmp_path):
     path = tmp_path / "flat.tif"
     with rasterio.open(
@@ -61,9 +61,18 @@ def test_the_command_prints_an_address_that_works_and_ends_on_ctrl_c(tmp_path):
     ) as file:
         file.write(np.zeros((64, 64), np.float32), 1)
     command = [sys.executable, "-m", "orogen", "serve", str(path), "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # as users have it: Python keeps what goes into a pipe until it is told otherwise
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment["PYTHONFAULTHANDLER"] = "1"
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # one that stays silent says where all of its threads are
+    guard = threading.Timer(
+        90, process.kill if sys.platform == "win32" else lambda: process.send_signal(signal.SIGABRT)
+    )
+    guard.start()
     try:
         address = process.stdout.readline().strip()
+        assert address, process.stderr.read()
         port, token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([\w-]{32})/", address).groups()
         connection = http.client.HTTPConnection("127.0.0.1", int(port), timeout=20)
         connection.request("GET", f"/{token}/")
@@ -71,8 +80,9 @@ def test_the_command_prints_an_address_that_works_and_ends_on_ctrl_c(tmp_path):
         if sys.platform != "win32":
             process.send_signal(signal.SIGINT)
             assert process.wait(30) == 0
-            assert "error" not in process.stderr.read()
+            assert "orogen: error" not in process.stderr.read()
     finally:
+        guard.cancel()
         process.kill()
         process.communicate()
 

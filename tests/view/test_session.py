@@ -67,6 +67,10 @@ def test_two_epochs_and_their_difference_in_height(session, terrain, target):
     session.compare_data(other)
     session.difference, session.difference_limit, session.divider = True, 2 * rise, 0.05
     camera = session.whole(heading=0.0, pitch=-60.0)
+    # up to the last row and column, where there is a neighbour on one side only
+    edges = target.show(session, session.whole(pitch=-89.0, distance=800.0))
+    for edge, inner in ((edges[-1, 8:], edges[-2, 8:]), (edges[1:-1, -1], edges[1:-1, -2])):
+        assert np.abs(edge - inner).max() < 30
     picture = target.show(session, camera)
     # half of the limit is half way to the end colours: red in the west, which is higher, blue in the east
     frame = session.renderer.shown[0]

@@ -23,6 +23,14 @@ def test_the_canvas_shows_what_the_terrain_renders(bare, terrain):
     assert np.abs(picture[..., :3].astype(int) - rendered[..., :3]).max() <= 2
 
 
+def test_a_picture_that_is_rendered_meanwhile_leaves_the_window_s(bare, terrain):
+    before = bare.settle().copy()
+    terrain.render(bare.window.session.camera, (300, 150), samples=16)
+    terrain.renderer.time_frames([bare.window.session.camera], (300, 150))
+    bare.send("resize", width=200.0, height=100.0, pixel_ratio=1.5)
+    assert np.array_equal(bare.settle(), before)
+
+
 def test_nothing_is_drawn_while_nothing_changes(bare):
     bare.settle()
     before = bare.canvas.requests
@@ -95,6 +103,9 @@ def test_a_map_lies_beside_the_view_and_moves_by_itself(bare):
     bare.press("m")
     picture = bare.settle().astype(int)
     camera = bare.window.controls.camera
+    # what one view loads counts for the other, which may have drawn without it
+    whole = bare.window.session.data.render(camera, (150, 150), samples=16).color.astype(int)
+    assert np.abs(picture[:, :147, :3] - whole[:, :147, :3]).max() <= 3
     # north is up: the map is the picture that a camera straight above draws
     map_camera = bare.window.map_controls.camera
     assert (map_camera.heading, map_camera.pitch) == (0.0, -90.0)
@@ -118,6 +129,47 @@ def test_a_map_lies_beside_the_view_and_moves_by_itself(bare):
     bare.settle()
     assert bare.window.session.second is None
     assert len(bare.window.session.renderer.clipmap._views) == 1
+
+
+@pytest.mark.parametrize("kind", ["algorithm", "data", "map"])
+def test_a_second_view_outlives_the_device(bare, terrain, kind):
+    window, later = bare.window, None
+    if kind == "map":
+        bare.press("m")
+        bare.send("wheel", dx=0.0, dy=-200.0, x=150, y=50)
+    elif kind == "algorithm":
+        window.session.restyle(overlays=("levels",))
+        window.session.compare("cdlod", {"pixels_per_quad": 16})
+    else:
+        heights = terrain.heights.source.read(slice(0, 96), slice(0, 128))
+        later = orogen.open(heights[::-1].copy(), spacing=30.0, crs="EPSG:32611")
+        window.session.compare_data(later)
+    before, second = bare.settle().astype(int), window.session.second
+    terrain.device.destroy()
+    bare.send("resize", width=200.0, height=100.0, pixel_ratio=1.5)
+    after = bare.settle()
+    assert window.session.second is not second
+    assert (window.session.second.kind, window.session.second.label) == (second.kind, second.label)
+    assert window.session.second.renderer.gpu is window.session.renderer.gpu
+    assert np.abs(after - before).max() <= 2
+    # and it ends as the one before it would have
+    window.session.alone()
+    assert bare.settle().any()
+    assert later is None or later._closed
+
+
+def test_a_second_view_that_cannot_be_made_again_is_told(bare, terrain, monkeypatch, caplog):
+    bare.window.session.compare("cdlod")
+    bare.settle()
+
+    def fail(*_):
+        raise GpuError("no room")
+
+    monkeypatch.setattr(bare.window.session, "compare", fail)
+    terrain.device.destroy()
+    bare.settle()
+    assert bare.window.session.second is None
+    assert "the second view is closed: no room" in caplog.text
 
 
 def test_the_divider_follows_the_pointer(bare):
@@ -156,7 +208,7 @@ def test_closing_while_loading_and_twice_is_no_error(terrain, hands):
     window.session.open("anything")
     window.close()
     window.close()
-    assert opened[0]._renderer is None  # what came too late is closed with the rest
+    assert opened[0]._closed  # what came too late is closed with the rest
 
 
 def test_without_a_panel_the_window_says_once_how_to_get_it(terrain, hands, monkeypatch, caplog):

@@ -16,40 +16,52 @@ from orogen.errors import OrogenError, SettingsError
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0: something could not be done; the command line or a setting is wrong; Ctrl-C."""
 
+COMMON = Group("Common options", sort_key=100)
 app = App(
     name="orogen",
     help="Show terrain of any size, exactly and in real time.",
     version=__version__,
     version_flags=["--version"],
     help_format="plaintext",
+    group_commands=COMMON,
 )
 # an interruption is ours to report
 app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
-COMMON = Group("Common options", sort_key=100)
 
-for _name, _help in {
-    "info": "Tell what a raster is, or which GPU is used.",
-    "render": "Draw a picture.",
-    "fly": "Draw a video along a flight.",
-    "view": "Open a window to move through the terrain.",
-    "serve": "Show the terrain in a browser.",
-    "build": "Build all levels of a raster, to be opened later without the raster.",
-    "export": "Write a part as triangles or heights for other programs.",
-    "compare": "Compare terrain algorithms on the same data and flight, and write a report.",
-    "bench": "Measure speed, memory and exactness, each against its target.",
-    "demo": "Draw example pictures and a short video from built-in terrain.",
-}.items():
-    app.command(f"orogen.cli.{_name}:{_name}", name=_name, help=_help)
-for _name, _help in {
-    "height": "Tell the height of the surface at a place.",
-    "profile": "Tell the heights along a line.",
-    "sight": "Tell whether one place is seen from another.",
-    "viewshed": "Write what is seen from a place as a GeoTIFF.",
-    "shadow": "Write where the sun shines as a GeoTIFF.",
-    "slope": "Write how steep the terrain is as a GeoTIFF.",
-}.items():
-    app.command(f"orogen.cli.query:{_name}", name=_name, help=_help)
-app.command("orogen.cli.cache:app", name="cache", help="Look at the cache of built pyramids, or clear it.")
+LOOKING = Group("Looking", sort_key=1)
+ASKING = Group("Asking the surface", sort_key=2)
+DATA = Group("Data", sort_key=3)
+MEASURING = Group("Measuring", sort_key=4)
+
+COMMANDS: dict[str, tuple[Group, str, str]] = {
+    "view": (LOOKING, "view", "Open a window to move through the terrain."),
+    "serve": (LOOKING, "serve", "Show the terrain in a browser."),
+    "render": (LOOKING, "render", "Draw a picture."),
+    "fly": (LOOKING, "fly", "Draw a video along a flight."),
+    "demo": (LOOKING, "demo", "Draw example pictures and a short video from built-in terrain."),
+    "height": (ASKING, "query", "Tell the height of the surface at a place."),
+    "profile": (ASKING, "query", "Tell the heights along a line."),
+    "sight": (ASKING, "query", "Tell whether one place is seen from another."),
+    "viewshed": (ASKING, "query", "Write what is seen from a place as a GeoTIFF."),
+    "shadow": (ASKING, "query", "Write where the sun shines as a GeoTIFF."),
+    "slope": (ASKING, "query", "Write how steep the terrain is as a GeoTIFF."),
+    "info": (DATA, "info", "Tell what a raster is, or which GPU is used."),
+    "build": (DATA, "build", "Build all levels of a raster, to be opened later without the raster."),
+    "export": (DATA, "export", "Write a part as triangles or heights for other programs."),
+    "compare": (MEASURING, "compare", "Compare terrain algorithms on the same data and flight, and write a report."),
+    "bench": (MEASURING, "bench", "Measure speed, memory and exactness, each against its target."),
+}
+"""Where a command is listed, its module, and its line there: what `orogen --help` tells without loading commands."""
+
+for _place, (_name, (_group, _module, _help)) in enumerate(COMMANDS.items()):
+    # the list is plain; markdown, which joins lines to paragraphs, takes longer to load
+    app.command(
+        f"orogen.cli.{_module}:{_name}", name=_name, help=_help, group=_group, sort_key=_place, help_format="markdown"
+    )
+app.command(
+    "orogen.cli.cache:app", name="cache", help="Look at the cache of built pyramids, or clear it.", group=DATA,
+    sort_key=len(COMMANDS),
+)  # fmt: skip
 app.register_install_completion_command()
 
 
@@ -75,6 +87,9 @@ def _launch(
 def run(arguments: Sequence[str]) -> int:
     """Run a command line; gives the exit code. Errors are one line on stderr."""
     try:
+        if named := next((word for word in arguments if word in COMMANDS), None):
+            # its own page tells more than its line in the list: all of the function's docstring
+            app[named].help = None
         app.meta(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:

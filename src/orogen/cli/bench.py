@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import Flag
+from orogen.cli.parameters import Json
 from orogen.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -19,14 +19,17 @@ if TYPE_CHECKING:
 
 DATA_VARIABLE = "OROGEN_TEST_DATA"
 """Environment variable that names the folder of test data."""
+DATA_SIDE = ("pyramid", "large", "endless", "queries")
+"""What `--data` measures."""
 
 
 def bench(
     data: Path | None = None,
     /,
     *,
+    data_side: Annotated[bool, Parameter(name="--data", negative="", show_default=False)] = False,
     only: Annotated[list[str] | None, Parameter(negative="", metavar="NAME")] = None,
-    json: Flag = False,
+    json: Json = False,
 ) -> None:
     """Measure speed, memory and exactness, each against its target.
 
@@ -34,11 +37,11 @@ def bench(
     ----------
     data
         Folder with the test data. [default: OROGEN_TEST_DATA, else ../shared/data]
+    data_side
+        Measure what building, opening and asking take: pyramid, large, endless and queries.
     only
-        Measure just this: speed, pyramid, record, passes, accuracy, rays, queries, large or endless;
-        repeat for several.
-    json
-        Write JSON.
+        Measure just this: speed, pyramid, record, passes, accuracy, rays, queries, large, endless or
+        views; repeat for several.
     """
     from orogen.cli.measure import MEASUREMENTS
 
@@ -49,8 +52,9 @@ def bench(
         if name not in MEASUREMENTS:
             raise SettingsError(f"--only: expected one of {', '.join(MEASUREMENTS)}, got {name!r}")
     figures: list[Figure] = []
+    chosen = [*(only or ()), *(DATA_SIDE if data_side else ())]
     with console.progress() as report:
-        for name in only or MEASUREMENTS:
+        for name in dict.fromkeys(chosen or MEASUREMENTS):
             figures += MEASUREMENTS[name](folder, report)
     result: dict[str, Any] = {"figures": [{**asdict(figure), "met": figure.met} for figure in figures]}
     console.show(result, json, table(figures))

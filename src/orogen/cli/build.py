@@ -4,38 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DataOptions, Flag, numbers, word
-from orogen.errors import SettingsError
+from orogen.cli.options import DataOptions, one_or_all
+from orogen.cli.parameters import Flag, Json, Output, Overwrite, Rasters, Window
+from orogen.errors import OutputError, SettingsError
 
-Window = Annotated[tuple[int, int, int, int] | None, word(numbers(4, ",", int), "X,Y,W,H")]
 Named = Annotated[list[str] | None, Parameter(negative="", metavar="NAME=DATA")]
 
 
 def build(
-    *data: str,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    *data: Rasters,
+    output: Output,
     max_error: float | None = None,
     layer: Named = None,
     image: Named = None,
     scheduler: str | None = None,
     update: Flag = False,
-    window: Window = None,
-    force: Flag = False,
-    json: Flag = False,
+    window: Window | None = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
     options: DataOptions | None = None,
 ) -> None:
     """Build all levels of a raster, to be opened later without the raster; a build that was killed goes on.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name; several make a mosaic.
     output
         What to make: a folder (.zarr), which keeps the draped image too, or a COG (.tif) of the heights alone.
     max_error
@@ -52,30 +49,25 @@ def build(
     window
         With --update: the part of the raster that has changed, first column and row, columns and rows; without it all
         of the raster is compared.
-    force
-        Replace what was built there before.
-    json
-        Write JSON about the result.
     """
     from orogen.pyramid.make import build_pyramid, update_pyramid
 
-    if not data:
-        raise SettingsError("expected a raster to build from, got none")
     if window is not None and not update:
         raise SettingsError("--window: tells what has changed; give it with --update")
-    if update and (force or max_error is not None):
-        raise SettingsError("--update: keeps what the build was given; leave out --force and --max-error")
-    given = asdict(options or DataOptions())
-    color, extent = given.pop("color"), given.pop("color_extent")
+    if update and (overwrite or max_error is not None):
+        raise SettingsError("--update: keeps what the build was given; leave out --overwrite and --max-error")
+    if output.suffix.lower() not in ("", ".zarr", ".tif", ".tiff"):
+        raise OutputError(f"{output}: expected the suffix .zarr or .tif, got {output.suffix!r}")
+    given = options or DataOptions()
     shared: dict[str, Any] = {
-        "options": given,
-        "color": color,
-        "color_extent": extent,
+        "options": given.heights(),
+        "color": given.color,
+        "color_extent": given.color_extent,
         "layers": _named("--layer", layer),
         "images": _named("--image", image),
         "scheduler": scheduler,
     }
-    raster = data[0] if len(data) == 1 else list(data)
+    raster = one_or_all(data)
     with console.progress() as report:
         if update:
             x, y, width, height = window or (0, 0, 0, 0)
@@ -83,7 +75,7 @@ def build(
             built = update_pyramid(raster, output, windows=windows, report=report, **shared)
         else:
             built = build_pyramid(
-                raster, output, max_error=max_error, force=force, report=report, estimated=_tell, **shared
+                raster, output, max_error=max_error, force=overwrite, report=report, estimated=_tell, **shared
             )
     result = {
         "output": str(built.path),

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import time
 
-from cyclopts import App
+from cyclopts import App, Group
 
 from orogen.cli import console
-from orogen.cli.options import Flag
+from orogen.cli.parameters import Json
 
-app = App(name="cache", help="Look at the cache of built pyramids, or clear it.")
+app = App(
+    name="cache", help="Look at the cache of built pyramids, or clear it.", group_commands=Group("Commands", sort_key=1)
+)
 
 
 @app.command
-def info(*, json: Flag = False) -> None:
-    """Tell where the cache is and what it holds.
-
-    Parameters
-    ----------
-    json
-        Write JSON.
-    """
+def info(*, json: Json = False) -> None:
+    """Tell where the cache is and what it holds."""
     from orogen.source.cache import info as cache_info
 
     found = cache_info()
@@ -40,14 +36,8 @@ def info(*, json: Flag = False) -> None:
 
 
 @app.command
-def clear(*, json: Flag = False) -> None:
-    """Remove everything from the cache that is not in use.
-
-    Parameters
-    ----------
-    json
-        Write JSON.
-    """
+def clear(*, json: Json = False) -> None:
+    """Remove everything from the cache that is not in use."""
     from orogen.source import cache
 
     folder = cache.cache_dir()

@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DataOptions, Flag, SceneOptions, Size, StyleOptions, numbers, settings_of, word
+from orogen.cli.options import DataOptions, SceneOptions, StyleOptions, settings_of
+from orogen.cli.parameters import (
+    Adapter,
+    Data,
+    Flag,
+    FlightName,
+    Json,
+    Output,
+    Overwrite,
+    Size,
+    Window,
+    numbers,
+    word,
+)
 
-Window = Annotated[tuple[int, int, int, int], word(numbers(4, ",", int), "X,Y,W,H")]
 Counts = Annotated[tuple[int, ...], word(numbers(None, ",", int), "N,N...")]
 Words = Annotated[list[str] | None, Parameter(negative="", metavar="NAME")]
 
 
 def compare(
-    data: str,
+    data: Data,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: Output,
     entry: Annotated[list[str] | None, Parameter(negative="", metavar="ENTRY")] = None,
     sweep: Annotated[list[str] | None, Parameter(negative="", metavar="SWEEP")] = None,
     equal_triangles: Counts | None = None,
     equal_time: float | None = None,
-    flight: Annotated[str, Parameter(name=("--flight", "-f"))] = "descent",
+    flight: FlightName = "descent",
     frames: int | None = None,
     every: int | None = None,
     fps: float = 30.0,
@@ -38,10 +49,10 @@ def compare(
     pictures: int = 3,
     freeze: Flag = False,
     set: Annotated[list[str] | None, Parameter(negative="", metavar="KEY=VALUE")] = None,
-    adapter: str | None = None,
+    adapter: Adapter = None,
     scheduler: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    overwrite: Overwrite = False,
+    json: Json = False,
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     options: DataOptions | None = None,
@@ -50,8 +61,6 @@ def compare(
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural".
     output
         Folder of the report, its tables and pictures.
     entry
@@ -63,9 +72,6 @@ def compare(
         every algorithm is measured at each of them.
     equal_time
         Set every algorithm's detail so that it takes this many milliseconds of GPU time a frame, on average.
-    flight
-        Flight file (.json), or a built-in flight: orbit, descent, rotation, zoom, teleport, crawl, descent-puget,
-        descent-taiwan.
     frames
         How many frames to measure, evenly over the flight. [default: 60]
     every
@@ -90,15 +96,9 @@ def compare(
         Keep pictures from a second camera too, while the flight's camera decides on the geometry.
     set
         Setting of the streaming, the same for all, such as memory=100000000; repeat for several.
-    adapter
-        GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name.
     scheduler
         Address of a Dask scheduler whose workers measure the frames, such as tcp://host:8786; they must see the same
         files, and times are those of their machines. [default: this process measures them]
-    force
-        Replace a comparison of another plan in the folder.
-    json
-        Write JSON about the comparison to stdout.
     """
     from orogen.compare.plan import Plan, parse_entry, parse_sweep
     from orogen.compare.report import targets
@@ -134,7 +134,7 @@ def compare(
         adapter=adapter,
     )
     with console.progress() as report:
-        written = run(plan, output, progress=report, force=force, scheduler=scheduler)
+        written = run(plan, output, progress=report, force=overwrite, scheduler=scheduler)
     result: dict[str, Any] = {"report": written, "entries": [item.label for item in plan.entries]}
     lines = [str(written)]
     if equal_triangles:

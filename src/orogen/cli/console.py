@@ -78,6 +78,8 @@ def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str] | None =
     else:
         text = "\n".join(table(result) if lines is None else lines)
     sys.stdout.write(text + "\n")
+    # a pipe would keep it until the end, which a server only reaches when it is told to
+    sys.stdout.flush()
 
 
 def table(result: Mapping[str, Any]) -> list[str]:

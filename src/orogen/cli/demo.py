@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from orogen.cli import console
-from orogen.cli.options import DrawingOptions, Flag
+from orogen.cli.options import DrawingOptions
+from orogen.cli.parameters import Adapter, Json, Output
 from orogen.errors import OutputError
 
 if TYPE_CHECKING:
@@ -50,9 +49,9 @@ PICTURES = {
 
 def demo(
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("demo"),
-    json: Flag = False,
-    adapter: str | None = None,
+    output: Output = Path("demo"),
+    json: Json = False,
+    adapter: Adapter = None,
 ) -> None:
     """Draw example pictures and a short video from built-in terrain.
 
@@ -60,10 +59,6 @@ def demo(
     ----------
     output
         Folder to write into; files of an earlier demo are replaced.
-    json
-        Write JSON about the files to stdout.
-    adapter
-        GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name.
     """
     from orogen.cli.fly import frames
     from orogen.cli.options import CameraOptions

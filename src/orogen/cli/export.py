@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
-
 from orogen.cli import console
-from orogen.cli.options import DrapedOptions, Flag, numbers, word
+from orogen.cli.options import DrapedOptions
+from orogen.cli.parameters import Bounds, Data, Json, Output, Overwrite
 
 
 def export(
-    data: str,
+    data: Data,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
-    bounds: Annotated[tuple[float, float, float, float] | None, word(numbers(4), "L,B,R,T")] = None,
+    output: Output,
+    bounds: Bounds | None = None,
     max_triangles: int | None = None,
     base: float | None = None,
-    overwrite: Flag = False,
-    json: Flag = False,
+    overwrite: Overwrite = False,
+    json: Json = False,
     options: DrapedOptions | None = None,
 ) -> None:
     """Write a part of a terrain as triangles (.glb, .obj, .stl, .ply) or as heights (.tif).
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     output
         File to write; its suffix says what.
     bounds
@@ -37,10 +31,6 @@ def export(
         Triangles at most; coarser samples are taken until there are no more. [default: 1000000]
     base
         Make a solid to print: walls, and a flat bottom so many metres below the lowest point.
-    overwrite
-        Replace a file that exists.
-    json
-        Write JSON about the file to stdout.
     """
     from orogen import export as room
     from orogen.cli.terrain import open_terrain

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from orogen.cli import console
-from orogen.cli.options import DrapedOptions, DrawingOptions, Flag, SceneOptions, Size, StyleOptions
+from orogen.cli.options import DrapedOptions, DrawingOptions, SceneOptions, StyleOptions
+from orogen.cli.parameters import Data, FlightName, Json, Output, Overwrite, Size
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,18 +23,19 @@ if TYPE_CHECKING:
 
 
 def fly(
-    data: str,
+    data: Data,
     /,
     *,
-    flight: Annotated[str, Parameter(name=("--flight", "-f"))] = "orbit",
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    flight: FlightName = "orbit",
+    output: Output,
     fps: float = 30.0,
     duration: float | None = None,
     size: Size = (1280, 720),
     samples: int = 4,
+    quality: Literal["high", "medium", "low"] = "high",
     scheduler: str | None = None,
-    overwrite: Flag = False,
-    json: Flag = False,
+    overwrite: Overwrite = False,
+    json: Json = False,
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     drawing: DrawingOptions | None = None,
@@ -46,11 +45,6 @@ def fly(
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural".
-    flight
-        Flight file (.json), or a built-in flight: orbit, descent, rotation, zoom, teleport, crawl, descent-puget,
-        descent-taiwan.
     output
         Video to write: .mp4, .webm, or .mkv without loss.
     fps
@@ -61,13 +55,11 @@ def fly(
         Width and height in pixels.
     samples
         Samples per pixel, which smooth edges.
+    quality
+        Of .mp4 and .webm: as good as what is drawn, or files of about a half and a quarter of the size.
     scheduler
         Address of a Dask scheduler whose workers draw the frames, such as tcp://host:8786; they must see the same
         files. [default: this process draws them]
-    overwrite
-        Replace a file that exists.
-    json
-        Write JSON about the video to stdout.
     """
     from orogen.cli.spread import Place, drawn
     from orogen.cli.terrain import open_terrain, scene_of
@@ -77,7 +69,7 @@ def fly(
     way = Flight.load(flight)
     if duration is not None:
         way = way.lasting(duration)
-    video = VideoWriter(output, size, fps, overwrite)
+    video = VideoWriter(output, size, fps, overwrite, quality=quality)
     look, before = (style or StyleOptions()).style(), scene_of(scene)
     start = time.perf_counter()
     with console.progress() as report, open_terrain(data, options, drawing, report) as terrain, video:

@@ -7,30 +7,24 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DrapedOptions, Flag, one_or_all
+from orogen.cli.options import DrapedOptions, one_or_all
+from orogen.cli.parameters import Adapter, Flag, Json, Rasters
 from orogen.errors import SettingsError
 
 
 def info(
-    *data: str,
+    *data: Annotated[Rasters, Parameter(required=False)],
     gpu: Flag = False,
-    json: Flag = False,
-    adapter: Annotated[str | None, Parameter(show_default=False)] = None,
+    json: Json = False,
+    adapter: Adapter = None,
     options: DrapedOptions | None = None,
 ) -> None:
-    """Tell what a raster is, or which GPU is used.
+    """Tell what a raster is (size, CRS, heights, nodata, levels ...), or which GPU is used.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
-        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     gpu
         Tell about the GPU: its name, driver, features, limits and memory.
-    json
-        Write JSON.
-    adapter
-        GPU to tell about: index, kind or part of its name.
     """
     if not data and not gpu:
         raise SettingsError("expected a raster or --gpu, got neither")
@@ -51,25 +45,16 @@ def raster_facts(data: str | list[str], options: DrapedOptions) -> dict[str, Any
     from orogen.pyramid.open import open_pyramid
     from orogen.shading.ramp import ramp_stops
     from orogen.source import open_colour, open_height
-    from orogen.source.contract import attribution_of
+    from orogen.source.contract import attribution_of, quantum_of
     from orogen.source.scale import distortion
+    from orogen.streaming.heightformat import height_format
 
-    source = open_height(
-        data,
-        spacing=options.spacing,
-        height_scale=options.height_scale,
-        height_offset=options.height_offset,
-        nodata=options.nodata,
-        vertical_units=options.vertical_units,
-        crs=options.crs,
-        encoding=options.encoding,
-        zoom=options.zoom,
-        area=options.area,
-    )
+    source = open_height(data, **options.heights())
     grid = source.grid
     pyramid = open_pyramid(source, build="never")
     low, high = pyramid.height_range
     spacing = [abs(float(v)) for v in grid.metres.diagonal()]
+    heights, quantum = height_format(pyramid, None), quantum_of(source)
     facts = {
         "name": source.name,
         "width": grid.width,
@@ -83,6 +68,9 @@ def raster_facts(data: str | list[str], options: DrapedOptions) -> dict[str, Any
         "distortion": distortion(grid),
         "height_range": (low, high),
         "height_range_exact": pyramid.built,
+        "height_quantum": quantum.step if quantum else None,
+        "height_bits": heights.bits if pyramid.exact else None,
+        "height_step": heights.step if heights.bits == 16 else None,
         "nodata": source.nodata,
         "vertical_units": source.units,
         "vertical_crs": source.vertical_crs,
@@ -95,7 +83,7 @@ def raster_facts(data: str | list[str], options: DrapedOptions) -> dict[str, Any
         colors = open_colour(
             options.color,
             source,
-            color_extent=options.color_extent,  # type: ignore[arg-type]
+            color_extent=options.color_extent,
             crs=options.crs,
             ramp=ramp,
         )

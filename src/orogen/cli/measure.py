@@ -24,6 +24,8 @@ from orogen.errors import OrogenError
 LARGE = "taiwan_20m_10481x19401_int16.tif"
 FAST = ("udlod", "raycast", "hybrid")
 """Algorithms whose passes are timed on all crops."""
+IN_MEMORY = ("udlod", "raycast")
+"""Algorithms whose GPU memory is measured."""
 SIZE = (1920, 1080)
 MB = 1e6
 
@@ -80,7 +82,16 @@ def speed(folder: Path, report: Report) -> list[Figure]:
             figures.append(Figure(group, f"complete picture, {view}", seconds, "s", 5))
             pictures.append(facts)
         figures.append(_memory(group, "peak resident memory, worst view", [p["memory"] for p in pictures], 1000))
-        figures.append(_memory(group, "GPU allocations, worst view", [p["gpu_memory"] for p in pictures], 512))
+        for name in IN_MEMORY:
+            report(0.9, f"{group}, {name}")
+            used = [_render(raster, place, "--algorithm", name, *options)[1] for options in CAMERAS.values()]
+            sizes = [facts["gpu_memory"] for facts in used]
+            figures.append(_memory(group, f"GPU allocations, {name}, worst view", sizes, 400))
+        heights = [facts["heights"] for facts in used]
+        sizes = [nodes["nodes"] * nodes["node_bytes"] for nodes in heights]
+        figures.append(_memory(group, "heights that a picture needs, worst view", sizes, None))
+        note = f"bits a height, off by {heights[0]['loss']:g} m at level 0"
+        figures.append(Figure(group, "heights in the atlas", heights[0]["bits"], note=note))
         report(1.0, group)
     return figures
 
@@ -100,6 +111,8 @@ def pyramid(folder: Path, report: Report) -> list[Figure]:
     return [
         Figure(group, "time to build", built["seconds"], "s", cog["seconds"]),
         Figure(group, "GDAL's COG driver, ZSTD level 1, predictor, average, 2 threads", cog["seconds"], "s"),
+        Figure(group, "processor time to build", built["cpu"], "s", cog["cpu"]),
+        Figure(group, "processor time of GDAL's COG driver", cog["cpu"], "s"),
         _memory(group, "peak resident memory", [built["memory"]], 400),
     ]
 
@@ -115,7 +128,11 @@ def record(folder: Path, report: Report) -> list[Figure]:
         camera = terrain.camera()
         for name in algorithms():
             terrain.use(name)
-            flight = [camera.moved(heading=camera.heading + 0.1 * number) for number in range(frames)]
+            step = abs(terrain.grid.transform[0])
+            flight = [
+                camera.moved(x=camera.x + step * number, heading=camera.heading + 0.1 * number)
+                for number in range(frames)
+            ]
             report(list(algorithms()).index(name) / len(algorithms()), f"{group}, {name}")
             times = [1000 * timing.record_time for timing in terrain.renderer.time_frames(flight, (160, 90))]
             # the first ones make pipelines and fill caches
@@ -274,6 +291,13 @@ def endless(folder: Path, report: Report) -> list[Figure]:
     return measure_large.endless(folder, report)
 
 
+def views(folder: Path, report: Report) -> list[Figure]:
+    """From an event to the picture that answers it."""
+    from orogen.cli.measure_views import measure
+
+    return measure(_small(folder), report)
+
+
 MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "speed": speed,
     "pyramid": pyramid,
@@ -284,20 +308,22 @@ MEASUREMENTS: dict[str, Callable[[Path, Report], list[Figure]]] = {
     "queries": queries,
     "large": large,
     "endless": endless,
+    "views": views,
 }
 """What can be measured, by name."""
 
 BUILD = """
-import json, sys, time
+import json, os, sys, time
 from orogen.cli.memory import peak_memory
 from orogen.source import open_height
 from orogen.pyramid.open import open_pyramid
 start = time.perf_counter()
 open_pyramid(open_height(sys.argv[1])).close()
-sys.stdout.write(json.dumps({"seconds": time.perf_counter() - start, "memory": peak_memory()}))
+seconds, cpu = time.perf_counter() - start, sum(os.times()[:4])
+sys.stdout.write(json.dumps({"seconds": seconds, "cpu": cpu, "memory": peak_memory()}))
 """
 COG = """
-import json, sys, time
+import json, os, sys, time
 import rasterio
 from rasterio.shutil import copy
 start = time.perf_counter()
@@ -306,7 +332,7 @@ with rasterio.Env(GDAL_CACHEMAX=256):
         sys.argv[1], sys.argv[2], driver="COG", COMPRESS="ZSTD", LEVEL="1", PREDICTOR="YES",
         OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="2", BIGTIFF="IF_SAFER",
     )
-sys.stdout.write(json.dumps({"seconds": time.perf_counter() - start}))
+sys.stdout.write(json.dumps({"seconds": time.perf_counter() - start, "cpu": sum(os.times()[:4])}))
 """
 
 
@@ -333,7 +359,7 @@ def run_python(arguments: Sequence[str], cache: Path) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
-def _memory(group: str, name: str, sizes: Sequence[int | None], target: float) -> Figure:
+def _memory(group: str, name: str, sizes: Sequence[int | None], target: float | None) -> Figure:
     """The largest of sizes in bytes."""
     known = [size / MB for size in sizes if size is not None]
     if not known:

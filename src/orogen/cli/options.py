@@ -1,13 +1,14 @@
-"""Options that several commands share."""
+"""Groups of options that several commands share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter
 
+from orogen.cli.parameters import Adapter, Algorithm, Bounds, Flag, Pair, Place, Sun, numbers, word
 from orogen.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -19,46 +20,11 @@ DATA, CAMERA, STYLE, DRAWING = (
 )
 
 
-def numbers(count: int | None, separator: str = ",", kind: type = float) -> Callable[[Any, Sequence[Token]], Any]:
-    """Reads `count` numbers (None: one or more) that `separator` parts, as one word."""
-    words = {None: "one or more", 2: "two", 4: "four"}
-
-    def convert(_: Any, tokens: Sequence[Token]) -> tuple[Any, ...]:
-        text = tokens[0].value
-        try:
-            values = tuple(kind(part) for part in text.lower().split(separator))
-        except ValueError:
-            values = ()
-        if not values or (count is not None and len(values) != count):
-            what = "whole numbers" if kind is int else "numbers"
-            raise ValueError(f"expected {words[count]} {what} separated by {separator!r}, got {text!r}")
-        return values
-
-    return convert
-
-
-def word(convert: Callable[[Any, Sequence[Token]], Any], metavar: str) -> Parameter:
-    """An option of one word that `convert` reads."""
-    return Parameter(
-        converter=convert, n_tokens=1, accepts_keys=False, allow_leading_hyphen=True, metavar=metavar, negative=""
-    )
-
-
-Pair = tuple[float, float]
-Size = Annotated[tuple[int, int], word(numbers(2, "x", int), "WxH")]
-Flag = Annotated[bool, Parameter(negative="", show_default=False)]
-Json = Annotated[bool, Parameter(negative="", show_default=False, group=DRAWING)]
-
-
 @Parameter(name="*", group=DATA)
 @dataclass(frozen=True)
-class DataOptions:
-    """How the data is read."""
+class HeightOptions:
+    """How heights are read."""
 
-    color: str | None = None
-    """Image that is draped over the terrain."""
-    color_extent: str = "pixels"
-    """Where an image without georeference lies: over the "pixels" of the heights or the hull of their "samples"."""
     spacing: float | None = None
     """Metres between samples, for rasters without georeference."""
     height_scale: float | None = None
@@ -71,12 +37,27 @@ class DataOptions:
     """Unit of stored heights, such as metre or foot; replaces what the file says."""
     crs: str | None = None
     """CRS of data that names none, such as EPSG:32611; data of another one is warped to it."""
-    encoding: str | None = None
-    """How colours hold heights, terrain-rgb or terrarium, where that is not recognised."""
+    encoding: Literal["terrain-rgb", "terrarium"] | None = None
+    """How colours hold heights, where that is not recognised."""
     zoom: int | None = None
     """Zoom of map tiles. [default: the finest in the folder]"""
     area: Annotated[tuple[float, float, float, float] | None, word(numbers(4), "W,S,E,N")] = None
     """West, south, east, north in degrees of the part to take of map tiles."""
+
+    def heights(self) -> dict[str, Any]:
+        """The arguments of `orogen.source.open_height`."""
+        return {field.name: getattr(self, field.name) for field in fields(HeightOptions)}
+
+
+@Parameter(name="*", group=DATA)
+@dataclass(frozen=True)
+class DataOptions(HeightOptions):
+    """How heights and an image over them are read."""
+
+    color: str | None = None
+    """Image that is draped over the terrain."""
+    color_extent: Literal["pixels", "samples"] = "pixels"
+    """Where an image without georeference lies: over the "pixels" of the heights or the hull of their "samples"."""
 
 
 @Parameter(name="*", group=DATA)
@@ -97,10 +78,10 @@ class DrapedOptions(DataOptions):
 class CameraOptions:
     """Where the camera is; by default it shows all of the data."""
 
-    look_at: Annotated[Pair | None, word(numbers(2), "X,Y")] = None
-    """Point on the ground in the middle of the picture, in the data's CRS."""
+    look_at: Place | None = None
+    """Point on the ground in the middle of the picture, in the data's CRS. [default: the middle of the data]"""
     distance: float | None = None
-    """Metres from the camera to that point."""
+    """Metres from the camera to that point. [default: so far that all of the data is seen]"""
     heading: float = 330.0
     """Direction of view in degrees clockwise from grid north."""
     pitch: float = -35.0
@@ -109,7 +90,7 @@ class CameraOptions:
     """Vertical angle of view in degrees."""
     orthographic: Flag = False
     """Parallel projection, at the scale of the looked-at point."""
-    bounds: Annotated[tuple[float, float, float, float] | None, word(numbers(4), "L,B,R,T")] = None
+    bounds: Bounds | None = None
     """Left, bottom, right, top of the part to show, in the data's CRS."""
 
 
@@ -135,7 +116,7 @@ class StyleOptions:
     """Heights in metres of the ramp's ends. [default: those of its file, else of the data]"""
     plain: Flag = False
     """One grey for all of the ground."""
-    sun: Annotated[Pair | None, word(numbers(2), "AZ,EL")] = None
+    sun: Sun | None = None
     """Azimuth and elevation of the sun in degrees. [default: 315,35]"""
     no_shadows: Flag = False
     """No cast shadows."""
@@ -179,12 +160,12 @@ class StyleOptions:
 class DrawingOptions:
     """How the picture is drawn."""
 
-    algorithm: str = "raycast"
-    """Terrain algorithm."""
+    algorithm: Algorithm = "raycast"
+    """How the surface is drawn."""
     set: Annotated[list[str] | None, Parameter(negative="", metavar="KEY=VALUE")] = None
     """Setting of the algorithm or of the streaming, such as pixels_per_quad=2; repeat for several."""
-    adapter: str | None = None
-    """GPU to use: index, kind (discrete, integrated, cpu ...) or part of its name; see orogen info --gpu."""
+    adapter: Adapter = None
+    """GPU to use, as in `orogen.open`."""
     rasterizer: Literal["auto", "hardware", "compute"] = "auto"
     """What draws triangles: the hardware pipeline, compute passes, or what suits the GPU."""
 
@@ -195,8 +176,6 @@ class DrawingOptions:
 
 def one_or_all(data: tuple[str, ...]) -> str | list[str]:
     """What the words of DATA name: a raster, or several that make a mosaic."""
-    if not data:
-        raise SettingsError("expected a raster (a path, URL or GDAL name), got none")
     return data[0] if len(data) == 1 else list(data)
 
 

@@ -6,8 +6,8 @@ import contextlib
 import csv as csv_format
 import io
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,55 +15,65 @@ import numpy as np
 from cyclopts import Parameter
 
 from orogen.cli import console
-from orogen.cli.options import DataOptions, Flag, Pair, numbers, word
+from orogen.cli.options import HeightOptions
+from orogen.cli.parameters import Data, Flag, Json, Output, Overwrite, Place, Sun
 from orogen.errors import SettingsError
 
 if TYPE_CHECKING:
-    from orogen.queries import Queries
+    from orogen.queries import Field, Queries
 
-Place = Annotated[Pair, word(numbers(2), "X,Y")]
 Number = Annotated[float, Parameter(allow_leading_hyphen=True)]
-Output = Annotated[Path, Parameter(name=("--output", "-o"))]
-Overwrite = Annotated[bool, Parameter(name=("--overwrite", "--force"), negative="", show_default=False)]
-PointCrs = Annotated[str | None, Parameter(show_default=False)]
+PointCrs = Annotated[
+    str | None,
+    Parameter(
+        show_default=False, help="CRS of the places on the command line, such as EPSG:4326. [default: the data's]"
+    ),
+]
+SEEN = {"seen": 1, "hidden": 0, "unknown": 255}
+"""Values of a viewshed by what they mean."""
+LIT = {"lit": 1, "shadowed": 0, "unknown": 255}
+"""Values of a shadow raster by what they mean."""
 
 
-@contextlib.contextmanager
-def _asked(data: str, options: DataOptions | None) -> Iterator[tuple[Queries, console.Report]]:
-    """The queries of a raster, with its pyramid built."""
-    from orogen.terrain import open_terrain
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SightOptions:
+    """Who looks at what, through what."""
 
-    with (
-        console.progress() as report,
-        open_terrain(data, **asdict(options or DataOptions()), progress=report) as terrain,
-    ):
-        yield terrain.queries, report
+    height: float = 1.7
+    """Metres of the eye above the ground."""
+    target_height: float = 0.0
+    """Metres above the ground of what is looked at."""
+    no_curvature: Flag = False
+    """Take the earth for flat."""
+    refraction: float = 0.13
+    """Part of the curvature that the air's refraction makes up for."""
+
+    def light(self) -> dict[str, Any]:
+        """The arguments of queries that say how light travels."""
+        return {"curvature": not self.no_curvature, "refraction": self.refraction}
 
 
 def height(
-    data: str,
+    data: Data,
     x: Number,
     y: Number,
     /,
     *,
     point_crs: PointCrs = None,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Tell the height of the surface at a place, in metres; "nan" outside the data and in voids.
 
+    With --json also the normal: how far it points to the east, to the north and up.
+
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     x
         Coordinate to the east, or longitude.
     y
         Coordinate to the north, or latitude.
-    point_crs
-        CRS of x and y, such as EPSG:4326. [default: the data's]
-    json
-        Write JSON, with the normal.
     """
     with _asked(data, options) as (queries, _):
         found = float(queries.height_at(x, y, crs=point_crs))
@@ -72,7 +82,7 @@ def height(
 
 
 def profile(
-    data: str,
+    data: Data,
     /,
     *,
     start: Annotated[Place, Parameter(name="--from")],
@@ -80,27 +90,21 @@ def profile(
     step: float | None = None,
     point_crs: PointCrs = None,
     csv: Flag = False,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Tell the heights along a line: distance (m along the ellipsoid), height (m), x and y.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     start
-        Where the line starts, in the data's CRS.
+        Where the line starts.
     end
         Where it ends.
     step
         Metres between heights at most. [default: one sample]
-    point_crs
-        CRS of the two places, such as EPSG:4326. [default: the data's]
     csv
         Write comma-separated values.
-    json
-        Write JSON.
     """
     if csv and json:
         raise SettingsError("--csv and --json: expected one of them, got both")
@@ -121,46 +125,28 @@ def profile(
 
 
 def sight(
-    data: str,
+    data: Data,
     /,
     *,
     start: Annotated[Place, Parameter(name="--from")],
     end: Annotated[Place, Parameter(name="--to")],
-    height: float = 1.7,
-    target_height: float = 0.0,
-    no_curvature: Flag = False,
-    refraction: float = 0.13,
+    by: SightOptions | None = None,
     point_crs: PointCrs = None,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Tell whether one place is seen from another, how far apart they are, and what is in the way.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     start
-        Where the eye is, in the data's CRS.
+        Where the eye is.
     end
         What is looked at.
-    height
-        Metres of the eye above the ground.
-    target_height
-        Metres above the ground of what is looked at.
-    no_curvature
-        A flat earth.
-    refraction
-        Part of the curvature that the air's refraction makes up for.
-    point_crs
-        CRS of the two places, such as EPSG:4326. [default: the data's]
-    json
-        Write JSON.
     """
+    eye = by or SightOptions()
     with _asked(data, options) as (queries, _):
-        line = queries.line_of_sight(
-            [*start, height], [*end, target_height], crs=point_crs, curvature=not no_curvature, refraction=refraction
-        )
+        line = queries.line_of_sight([*start, eye.height], [*end, eye.target_height], crs=point_crs, **eye.light())
     found: dict[str, Any] = {
         "visible": bool(line.visible),
         "known": bool(line.known),
@@ -171,134 +157,117 @@ def sight(
 
 
 def viewshed(
-    data: str,
+    data: Data,
     /,
     *,
     at: Place,
     output: Output,
-    height: float = 1.7,
-    target_height: float = 0.0,
+    by: SightOptions | None = None,
     radius: float | None = None,
-    no_curvature: Flag = False,
-    refraction: float = 0.13,
     point_crs: PointCrs = None,
     overwrite: Overwrite = False,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Write what is seen from a place as a GeoTIFF: 1 seen, 0 hidden, 255 (nodata) no data or beyond the radius.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     at
-        Where the eye is, in the data's CRS.
+        Where the eye is.
     output
         File to write (.tif).
-    height
-        Metres of the eye above the ground.
-    target_height
-        Metres above the ground of what is looked for.
     radius
         Metres from the eye beyond which nothing is looked at. [default: all of the data]
-    no_curvature
-        A flat earth.
-    refraction
-        Part of the curvature that the air's refraction makes up for.
-    point_crs
-        CRS of the place, such as EPSG:4326. [default: the data's]
-    overwrite
-        Replace a file that exists.
-    json
-        Write JSON about the raster to stdout.
     """
-    from orogen.cli.geotiff import SUFFIXES, write_fields
-    from orogen.view.output import check_output
+    eye = by or SightOptions()
 
-    check_output(output, SUFFIXES, overwrite)
-    with _asked(data, options) as (queries, report):
-        field = queries.viewshed(
-            at, height=height, target_height=target_height, radius=radius, crs=point_crs,
-            curvature=not no_curvature, refraction=refraction,
-        )  # fmt: skip
-        (counts,) = write_fields(output, [field], report, overwrite)
-    _tell(output, {"seen": counts.get(1, 0), "hidden": counts.get(0, 0), "unknown": counts.get(255, 0)}, json)
+    def seen(queries: Queries) -> list[Field]:
+        above: dict[str, Any] = {"height": eye.height, "target_height": eye.target_height}
+        return [queries.viewshed(at, radius=radius, crs=point_crs, **above, **eye.light())]
+
+    _write(output, overwrite, data, options, seen, SEEN, json)
 
 
 def shadow(
-    data: str,
+    data: Data,
     /,
     *,
-    sun: Annotated[Pair, word(numbers(2), "AZ,EL")],
+    sun: Sun,
     output: Output,
     overwrite: Overwrite = False,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Write where the sun shines as a GeoTIFF: 1 lit, 0 in the shadow of terrain, 255 (nodata) no data.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     sun
-        Azimuth from grid north and elevation of the sun, degrees.
+        Azimuth of the sun, clockwise from grid north, and its elevation above the horizon, in degrees.
     output
         File to write (.tif).
-    overwrite
-        Replace a file that exists.
-    json
-        Write JSON about the raster to stdout.
     """
-    from orogen.cli.geotiff import SUFFIXES, write_fields
-    from orogen.view.output import check_output
-
-    check_output(output, SUFFIXES, overwrite)
-    with _asked(data, options) as (queries, report):
-        (counts,) = write_fields(output, [queries.shadow(sun)], report, overwrite)
-    _tell(output, {"lit": counts.get(1, 0), "shadowed": counts.get(0, 0), "unknown": counts.get(255, 0)}, json)
+    _write(output, overwrite, data, options, lambda queries: [queries.shadow(sun)], LIT, json)
 
 
 def slope(
-    data: str,
+    data: Data,
     /,
     *,
     output: Output,
     unit: Literal["degrees", "percent"] = "degrees",
     aspect: Flag = False,
     overwrite: Overwrite = False,
-    json: Flag = False,
-    options: DataOptions | None = None,
+    json: Json = False,
+    options: HeightOptions | None = None,
 ) -> None:
     """Write how steep the terrain is as a GeoTIFF of float32; NaN (nodata) where there is no data.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, or "synthetic".
     output
         File to write (.tif).
     unit
         Unit of the slope.
     aspect
         Add a second band: where the terrain falls to, degrees clockwise from grid north.
-    overwrite
-        Replace a file that exists.
-    json
-        Write JSON about the raster to stdout.
     """
+
+    def fields(queries: Queries) -> list[Field]:
+        return [queries.slope(unit), *([queries.aspect()] if aspect else [])]
+
+    _write(output, overwrite, data, options, fields, {}, json)
+
+
+@contextlib.contextmanager
+def _asked(data: str, options: HeightOptions | None) -> Iterator[tuple[Queries, console.Report]]:
+    """The queries of a raster, with its pyramid built."""
+    from orogen.terrain import open_terrain
+
+    with (
+        console.progress() as report,
+        open_terrain(data, **asdict(options or HeightOptions()), progress=report) as terrain,
+    ):
+        yield terrain.queries, report
+
+
+def _write(
+    output: Path,
+    overwrite: bool,
+    data: str,
+    options: HeightOptions | None,
+    fields: Callable[[Queries], list[Field]],
+    names: dict[str, int],
+    json: bool,
+) -> None:
+    """Write fields as a GeoTIFF; tell the file, and how many samples of the first field have the named values."""
     from orogen.cli.geotiff import SUFFIXES, write_fields
     from orogen.view.output import check_output
 
     check_output(output, SUFFIXES, overwrite)
     with _asked(data, options) as (queries, report):
-        fields = [queries.slope(unit), *([queries.aspect()] if aspect else [])]
-        write_fields(output, fields, report, overwrite)
-    _tell(output, {}, json)
-
-
-def _tell(output: Path, counts: dict[str, int], json: bool) -> None:
-    """The file, and how many samples are what."""
-    lines = [str(output), *(f"{name}  {count}" for name, count in counts.items())]
-    console.show({"file": str(output), **counts}, json, lines)
+        counts = write_fields(output, fields(queries), report, overwrite)[0]
+    found = {name: counts.get(value, 0) for name, value in names.items()}
+    lines = [str(output), *(f"{name}  {count}" for name, count in found.items())]
+    console.show({"file": str(output), **found}, json, lines)

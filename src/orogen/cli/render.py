@@ -5,46 +5,33 @@ from __future__ import annotations
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from orogen.cli import console
-from orogen.cli.options import (
-    CameraOptions,
-    DrapedOptions,
-    DrawingOptions,
-    Flag,
-    SceneOptions,
-    Size,
-    StyleOptions,
-    one_or_all,
-)
+from orogen.cli.options import CameraOptions, DrapedOptions, DrawingOptions, SceneOptions, StyleOptions, one_or_all
+from orogen.cli.parameters import Flag, Json, Output, Overwrite, Rasters, Size
 
 
 def render(
-    *data: str,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    *data: Rasters,
+    output: Output,
     depth: Path | None = None,
     position: Path | None = None,
     size: Size = (1280, 720),
     samples: int = 4,
     coarse: Flag = False,
-    overwrite: Flag = False,
-    json: Flag = False,
+    overwrite: Overwrite = False,
+    json: Json = False,
     camera: CameraOptions | None = None,
     scene: SceneOptions | None = None,
     style: StyleOptions | None = None,
     drawing: DrawingOptions | None = None,
     options: DrapedOptions | None = None,
 ) -> None:
-    """Draw a picture.
+    """Draw a picture of the terrain as a camera sees it: complete, and the same each time.
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
-        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     output
         Picture to write (.png).
     depth
@@ -57,10 +44,6 @@ def render(
         Samples per pixel, which smooth edges.
     coarse
         Do not build the pyramid of data that has none yet: a coarse picture at once.
-    overwrite
-        Replace files that exist.
-    json
-        Write JSON about the picture to stdout.
     """
     from orogen.cli.memory import peak_memory
     from orogen.cli.terrain import open_terrain, place_camera, scene_of
@@ -86,6 +69,8 @@ def render(
         if position is not None:
             image.write_position(position, picture.position, overwrite)
         gpu_memory = terrain.renderer.gpu.memory.peak
+        heights = terrain.renderer.clipmap.heights
+        form, nodes = heights.format, len(heights.current)
     result = {
         "files": [str(path) for path in files],
         "size": size,
@@ -94,6 +79,13 @@ def render(
         "statistics": asdict(picture.statistics),
         "gpu_milliseconds": dict(picture.gpu_times),
         "gpu_memory": gpu_memory,
+        "heights": {
+            "bits": form.bits,
+            "step": form.step if form.bits == 16 else None,
+            "loss": form.loss,
+            "nodes": nodes,
+            "node_bytes": heights.atlas.node_bytes,
+        },
         "memory": peak_memory(),
     }
     console.show(result, json, [str(path) for path in files])

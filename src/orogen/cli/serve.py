@@ -5,19 +5,12 @@ from __future__ import annotations
 import signal
 import threading
 
-from orogen.cli.options import (
-    CameraOptions,
-    DrapedOptions,
-    DrawingOptions,
-    Flag,
-    SceneOptions,
-    StyleOptions,
-    one_or_all,
-)
+from orogen.cli.options import CameraOptions, DrapedOptions, DrawingOptions, SceneOptions, StyleOptions, one_or_all
+from orogen.cli.parameters import Flag, Rasters
 
 
 def serve(
-    *data: str,
+    *data: Rasters,
     port: int = 8000,
     host: str = "127.0.0.1",
     clients: int = 4,
@@ -35,9 +28,6 @@ def serve(
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
-        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     port
         Where to listen; 0: any port that is free.
     host
@@ -61,15 +51,16 @@ def serve(
     with open_terrain(one_or_all(data), options, drawing, lambda part, text: None, "background") as terrain:
         start = place_camera(terrain, camera, before, (1280, 720)) if camera else None
         with Server(terrain, settings, Look(look, before, start, panel=not no_panel)) as server:
-            console.show({"address": server.address}, False, [server.address])
-            console.note("open this address in a browser; Ctrl-C ends")
 
             def end(*_: object) -> None:
                 # a thread of its own: what this one was doing when it was interrupted may hold a lock
                 threading.Thread(target=server.stop).start()
 
+            # before the address is told: who reads it may end the server at once
             before_signals = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}
             try:
+                console.show({"address": server.address}, False, [server.address])
+                console.note("open this address in a browser; Ctrl-C ends")
                 server.run()
             finally:
                 for kind, handler in before_signals.items():

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from orogen.cli.options import DrapedOptions, DrawingOptions
+from orogen.source.mosaic import absolute
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,9 +26,7 @@ class Place:
     """What is drawn, as workers open it: data and options of the command line."""
 
     def __init__(self, data: str | list[str], options: DrapedOptions | None, drawing: DrawingOptions | None) -> None:
-        parts = [data] if isinstance(data, str) else data
-        found = [os.path.abspath(part) if os.path.exists(part) else part for part in parts]
-        self.data = found[0] if isinstance(data, str) else found
+        self.data: str | list[str] = absolute(data)
         self.options = options or DrapedOptions()
         self.drawing = drawing or DrawingOptions()
 

@@ -9,7 +9,7 @@ from typing import Literal
 from orogen.camera import Camera
 from orogen.cli.console import Report
 from orogen.cli.options import CameraOptions, DrapedOptions, DrawingOptions, SceneOptions
-from orogen.errors import SettingsError
+from orogen.frame import check_size
 from orogen.terrain import Terrain
 from orogen.terrain import open_terrain as open_any
 from orogen.view.framing import frame_camera
@@ -46,8 +46,7 @@ def scene_of(options: SceneOptions | None) -> Scene:
 
 def place_camera(terrain: Terrain, options: CameraOptions | None, scene: Scene, size: tuple[int, int]) -> Camera:
     """The camera that the options describe, for a picture of `size` pixels."""
-    if min(size) < 1:
-        raise SettingsError(f"size: expected at least 1x1 pixels, got {size[0]}x{size[1]}")
+    check_size(size)
     camera = frame_camera(
         terrain.grid,
         terrain.height_range,

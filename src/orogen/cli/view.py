@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from orogen.cli.options import (
-    CameraOptions,
-    DrapedOptions,
-    DrawingOptions,
-    Flag,
-    SceneOptions,
-    Size,
-    StyleOptions,
-    one_or_all,
-)
+from orogen.cli.options import CameraOptions, DrapedOptions, DrawingOptions, SceneOptions, StyleOptions, one_or_all
+from orogen.cli.parameters import Flag, Rasters, Size
 
 
 def view(
-    *data: str,
+    *data: Rasters,
     size: Size = (1280, 720),
     no_panel: Flag = False,
     camera: CameraOptions | None = None,
@@ -31,9 +23,6 @@ def view(
 
     Parameters
     ----------
-    data
-        Raster: a path, URL or GDAL name, "synthetic" or "procedural";
-        several, a pattern in quotes or a folder make a mosaic; map tiles: a folder, or a URL with {z}, {x} and {y}.
     size
         Width and height of the window in logical pixels.
     no_panel

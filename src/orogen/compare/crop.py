@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from orogen.errors import SettingsError
 from orogen.grid import Grid
-from orogen.source.contract import Kind, Source
+from orogen.source.derived import DerivedSource
 from orogen.source.heights import check_window
 from orogen.source.scale import ground_scale, parse_crs
 
@@ -19,11 +19,9 @@ STRIP = 512
 
 
 @dataclass(frozen=True)
-class Crop:
+class Crop(DerivedSource):
     """A window of a source of heights; a `Source` that reads nothing outside it."""
 
-    source: Source
-    """What it is cut from."""
     window: tuple[int, int, int, int]
     """First column and row, columns and rows."""
 
@@ -47,36 +45,6 @@ class Crop:
         middle_x, middle_y = (float(v) for v in cut.to_crs(columns / 2, rows / 2))
         crs = parse_crs(whole.crs) if whole.crs else None
         return replace(cut, ground_scale=ground_scale(crs, middle_x, middle_y, abs(a * e - b * d) ** 0.5))
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return self.source.name
-
-    @property
-    def kind(self) -> Kind:
-        """Heights, as the source."""
-        return self.source.kind
-
-    @property
-    def dtype(self) -> str:
-        """The type of the stored samples."""
-        return self.source.dtype
-
-    @property
-    def nodata(self) -> float | None:
-        """The stored value that stands for nodata."""
-        return self.source.nodata
-
-    @property
-    def units(self) -> str:
-        """The vertical unit as stored."""
-        return self.source.units
-
-    @property
-    def vertical_crs(self) -> str | None:
-        """Name of the vertical reference."""
-        return self.source.vertical_crs
 
     @property
     def block(self) -> tuple[int, int]:
@@ -120,7 +88,3 @@ class Crop:
                 strip = self.read(slice(start, min(height, start + STRIP)), slice(0, width))
                 strips.append(strip[np.ix_(wanted, cols)])
         return np.concatenate(strips)
-
-    def close(self) -> None:
-        """Release open files."""
-        self.source.close()

@@ -15,6 +15,7 @@ from orogen.errors import SettingsError
 from orogen.lod import algorithm, algorithms, make_settings
 from orogen.lod.contract import Detail
 from orogen.shading.style import Style
+from orogen.source.mosaic import absolute
 from orogen.streaming.settings import ClipmapSettings
 from orogen.values import expected_name, field_names, from_values
 
@@ -238,11 +239,10 @@ def plain(value: Any) -> Any:
     return plain(value.item()) if hasattr(value, "item") else str(value)
 
 
-def _place(data: Any) -> str:
-    if not isinstance(data, str | os.PathLike):
-        return "array"
-    name = os.fspath(data)
-    return os.path.abspath(name) if os.path.exists(name) else name
+def _place(data: Any) -> str | list[str]:
+    if isinstance(data, list | tuple) and all(isinstance(part, str | os.PathLike) for part in data):
+        return [os.fspath(part) for part in absolute(data)]
+    return os.fspath(absolute(data)) if isinstance(data, str | os.PathLike) else "array"
 
 
 def _text(value: Any) -> str:

@@ -14,13 +14,14 @@ from orogen.compare.crop import Crop
 from orogen.compare.plan import Entry, Plan
 from orogen.compare.prelit import content_digest, prelit_image
 from orogen.compare.truth import TrueSurface
-from orogen.errors import OrogenError
+from orogen.errors import OrogenError, SettingsError
 from orogen.gpu import Gpu, open_gpu
 from orogen.grid import Grid
 from orogen.keys import NODE_SIZE
 from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.open import open_pyramid
 from orogen.queries import Queries
+from orogen.source.contract import Source
 from orogen.source.open import open_colour, open_height
 from orogen.source.stored import draped
 from orogen.streaming.requests import LayerGrid
@@ -29,6 +30,8 @@ from orogen.view.renderer import Renderer, Scene
 
 Progress = Callable[[float, str], None]
 
+LARGEST = 2048
+"""Nodes of level 0 at most: layers that a texture has on any GPU. The true surface is drawn with all of them."""
 PER_SAMPLE = 14
 """Bytes of GPU memory that a sample of heights takes at most: 7 with borders, maxima and coverage, and as much again
 for the coarser levels of a raster that is long and narrow."""
@@ -44,6 +47,7 @@ class Scenery(AbstractContextManager["Scenery"]):
         color, extent = draped(plan.data, options.pop("color", None)), options.pop("color_extent", "pixels")
         source = open_height(plan.data, **options)
         cut = source if plan.crop is None else Crop(source, plan.crop)
+        _check_size(cut)
         self._closing: list[Callable[[], None]] = []
         try:
             self.heights = self._opened(cut, progress)
@@ -120,3 +124,15 @@ class Scenery(AbstractContextManager["Scenery"]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _check_size(source: Source) -> None:
+    """Refuse at once what cannot be compared whole, before any of it is read."""
+    rows, columns = source.grid.shape
+    if -(-rows // NODE_SIZE) * -(-columns // NODE_SIZE) > LARGEST:
+        part = tuple(min(4096, size) for size in (columns, rows))
+        middle = (columns - part[0]) // 2, (rows - part[1]) // 2
+        raise SettingsError(
+            f"crop: expected a part of the {columns} x {rows} samples of {source.name}, too many to hold and draw the "
+            f"true surface of, got none or a large one; such as {middle[0]},{middle[1]},{part[0]},{part[1]} (--crop)"
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orogen.compare.plan import Entry, Plan
+from orogen.source.mosaic import absolute
 
 CHUNK = 8
 """Frames of a task, one after the other: the first one of each is led up to anew."""
@@ -49,12 +49,13 @@ def packed(plan: Plan) -> dict[str, Any]:
     found = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan)}
     for name in ("entries", "equal_triangles", "equal_time"):
         del found[name]
-    options = {name: _absolute(value) for name, value in plan.options.items()}
+    # only what names files: a CRS in WKT looks like a pattern
+    options = {name: absolute(value) if name == "color" else value for name, value in plan.options.items()}
     return found | {
-        "data": _absolute(plan.data),
+        "data": absolute(plan.data),
         "options": options,
         "streaming": dict(plan.streaming),
-        "flight": _absolute(plan.flight),
+        "flight": absolute(plan.flight),
     }
 
 
@@ -72,7 +73,3 @@ def measure(
 
     found = Entry(*entry)
     return measure_frames(Plan(entries=(found,), **plan), found, numbers, kept, chosen)
-
-
-def _absolute(value: Any) -> Any:
-    return os.path.abspath(value) if isinstance(value, str | os.PathLike) and os.path.exists(value) else value

@@ -105,20 +105,20 @@ class History:
         latest = _Drawn.of(frame, depth, surface)
         earlier = list(self._frames)
         self._frames.append(latest)
-        return _compare(latest, earlier, surface) if earlier else None
+        return _compare(latest, earlier) if earlier else None
 
 
-def _compare(latest: _Drawn, earlier: list[_Drawn], surface: TrueSurface) -> Stability:
+def _compare(latest: _Drawn, earlier: list[_Drawn]) -> Stability:
     """`earlier`: the frame before the latest, last, and the one before that."""
     before = earlier[-1]
-    change, motion = _change(before, latest, surface)
+    change, motion = _change(before, latest)
     seen = ~np.isnan(change)
     size = np.abs(change[seen])
     if size.size < FEWEST:
         return Stability(size.size, *(math.nan,) * 4)
     swimming = popping = math.nan
     if len(earlier) == REACH:
-        past, past_motion = _change(before, earlier[0], surface)
+        past, past_motion = _change(before, earlier[0])
         # a change in proportion to the camera's motion is no surprise
         expected = _smooth(np.abs(past)) * (motion / past_motion if past_motion > STILL else 1.0)
         known = size[~np.isnan(expected[seen])]
@@ -129,7 +129,7 @@ def _compare(latest: _Drawn, earlier: list[_Drawn], surface: TrueSurface) -> Sta
     return Stability(size.size, float(size.mean()), float(np.percentile(size, 99)), swimming, popping)
 
 
-def _change(points: _Drawn, other: _Drawn, surface: TrueSurface) -> tuple[Floats, float]:
+def _change(points: _Drawn, other: _Drawn) -> tuple[Floats, float]:
     """How the drawn height over a frame's followed points differs in another frame, and how the camera moved.
 
     First (rows, columns) pixels of the other frame, NaN where it does not show the place; second the median of the

@@ -81,10 +81,10 @@ def choose(found: Sequence[AdapterInfo], wanted: str | None = None) -> AdapterIn
     wanted = (wanted if wanted is not None else os.environ.get(ADAPTER_VARIABLE, "")).strip().lower()
     fitting = [info for info in found if _fits(info, wanted)]
     if not fitting:
-        names = "\n".join(f"  {info.index}: {info}" for info in found)
+        names = "; ".join(f"{info.index}: {info}" for info in found)
         raise SettingsError(
             f"{origin}: expected an index, a kind ({', '.join(KINDS)}) or a part of a name, got {wanted!r}; "
-            f"this machine has\n{names}"
+            f"this machine has {names}"
         )
     return min(fitting, key=lambda info: (KINDS.index(info.kind), info.index))
 

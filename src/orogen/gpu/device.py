@@ -19,6 +19,8 @@ from orogen.gpu.adapters import AdapterInfo, choose, native_adapters
 from orogen.gpu.bindings import binding_layout
 from orogen.gpu.capabilities import LIMITS, OPTIONAL_FEATURES, describe
 from orogen.gpu.checked import checked
+from orogen.gpu.commands import Commands
+from orogen.gpu.driver import open_driver
 from orogen.gpu.formats import texture_bytes
 from orogen.gpu.memory import MemoryAccount
 from orogen.gpu.readback import ROW_ALIGNMENT, Readback, StagingPool
@@ -29,6 +31,8 @@ from orogen.gpu.wgsl import Constant, Source, compose
 
 _SLICE = 16 << 20
 
+Encoder = Any
+"""What commands are recorded into: `Commands`, or a `wgpu.GPUCommandEncoder` where those do not work."""
 Bindable = Any
 """A `Buffer`, (`Buffer`, offset, size) in bytes, `Texture` (its default view), texture view or sampler."""
 
@@ -68,6 +72,8 @@ class Gpu:
         self._bound: weakref.WeakKeyDictionary[Any, list[Any]] = weakref.WeakKeyDictionary()
         self._after: weakref.WeakKeyDictionary[Any, list[Callable[[], None]]] = weakref.WeakKeyDictionary()
         self._lock = threading.RLock()
+        self._driver = open_driver(self.device)
+        self._write_buffer = self._driver.write if self._driver else self.device.queue.write_buffer
         self._fence = self.buffer("fence", 4, "COPY_SRC", "readback")
 
     def __enter__(self) -> Gpu:
@@ -181,7 +187,8 @@ class Gpu:
 
         See `orogen.gpu.wgsl.compose`. Raises `ShaderError` that names the file and the line.
         """
-        return compile_shader(self.device, label, compose(*sources, search=search, constants=constants))
+        source = compose(*sources, search=search, constants=constants)
+        return compile_shader(self.device, label, source, trusted=self.info.kind != "cpu")
 
     def compute(
         self, label: str, shader: Shader, entry: str, bind_layouts: Sequence[Any] | str = "auto"
@@ -263,20 +270,21 @@ class Gpu:
 
     def write(self, buffer: Buffer, data: ArrayLike | bytes, offset: int = 0) -> None:
         """Write bytes or an array at `offset` (bytes, a multiple of 4); a length not a multiple of 4 is filled up."""
-        content = _bytes(data)
-        if offset < 0 or offset + content.nbytes > buffer.size:
+        # most writes are small and frequent: numpy stays out of those
+        content = data if isinstance(data, bytes) and len(data) % 4 == 0 else _bytes(data)
+        size = len(content)
+        if offset < 0 or offset + size > buffer.size:
             raise GpuError(
-                f"buffer {buffer.label!r}: expected data within its {buffer.size} bytes, "
-                f"got {content.nbytes} bytes at {offset}"
+                f"buffer {buffer.label!r}: expected data within its {buffer.size} bytes, got {size} bytes at {offset}"
             )
-        if content.nbytes % 4:
-            content = np.concatenate([content, np.zeros(-content.nbytes % 4, np.uint8)])
+        if size % 4:
+            content = np.concatenate([content, np.zeros(-size % 4, np.uint8)])
         with checked(f"buffer {buffer.label!r}"):
-            for start in range(0, content.nbytes, _SLICE):
+            for start in range(0, size, _SLICE):
                 if start:  # lets the driver free what it staged: the data would else be held twice
                     self.wait()
                 part = content[start : start + _SLICE]
-                self.device.queue.write_buffer(buffer.raw, offset + start, part)
+                self._write_buffer(buffer.raw, offset + start, part)
 
     def write_texture(
         self,
@@ -321,7 +329,7 @@ class Gpu:
         size: int | None = None,
         dtype: DTypeLike = np.uint8,
         *,
-        encoder: wgpu.GPUCommandEncoder | None = None,
+        encoder: Encoder | None = None,
     ) -> Readback:
         """Copy `size` bytes from `offset` (multiples of 4) back; the result is a 1D array of `dtype`.
 
@@ -354,7 +362,7 @@ class Gpu:
         origin: tuple[int, int] = (0, 0),
         size: tuple[int, int] | None = None,
         *,
-        encoder: wgpu.GPUCommandEncoder | None = None,
+        encoder: Encoder | None = None,
     ) -> Readback:
         """Copy a layer or slice back, or the part of it from `origin` (column, row) of `size` (width, height).
 
@@ -383,7 +391,7 @@ class Gpu:
         return readback
 
     @contextmanager
-    def _commands(self, encoder: wgpu.GPUCommandEncoder | None, readback: Readback) -> Iterator[Any]:
+    def _commands(self, encoder: Encoder | None, readback: Readback) -> Iterator[Any]:
         """The encoder for a read-back, submitted afterwards unless it is the caller's."""
         commands = encoder or self.encoder("read-back")
         yield commands
@@ -393,20 +401,26 @@ class Gpu:
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
-    def encoder(self, label: str) -> wgpu.GPUCommandEncoder:
+    def encoder(self, label: str) -> Encoder:
         """A command encoder."""
-        return self.device.create_command_encoder(label=label)
+        if self._driver is not None:
+            return Commands(self._driver, label)
+        with checked(f"commands {label!r}"):
+            return self.device.create_command_encoder(label=label)
 
-    def submit(self, encoder: wgpu.GPUCommandEncoder) -> None:
+    def submit(self, encoder: Encoder) -> None:
         """Finish an encoder and hand its commands to the GPU. Wrong draws and dispatches raise `GpuError` here."""
         with checked(f"commands {encoder.label!r}"):
-            self.device.queue.submit([encoder.finish(label=encoder.label)])
+            if isinstance(encoder, Commands):
+                encoder.submit()
+            else:
+                self.device.queue.submit([encoder.finish(label=encoder.label)])
         with self._lock:
             calls = self._after.pop(encoder, [])
         for call in calls:
             call()
 
-    def after(self, encoder: wgpu.GPUCommandEncoder, call: Callable[[], None]) -> None:
+    def after(self, encoder: Encoder, call: Callable[[], None]) -> None:
         """Have `submit` make a call as soon as it has handed over this encoder's commands."""
         with self._lock:
             self._after.setdefault(encoder, []).append(call)

@@ -10,6 +10,7 @@ import wgpu
 
 from orogen.errors import DeviceLostError, ShaderError
 from orogen.gpu.checked import checked, explain, lost
+from orogen.gpu.trusted import trusted_module
 from orogen.gpu.wgsl import Composed
 
 _PLACE = re.compile(r"┌─ .*?:(\d+):\d+\s*$", re.MULTILINE)
@@ -49,9 +50,14 @@ class Shader:
         return checked(f"{place or self.label}: pipeline {label!r}, entry {entry!r}", ShaderError)
 
 
-def compile_shader(device: Any, label: str, source: Composed) -> Shader:
-    """Compile; raises `ShaderError` with the file, line and text of the fault."""
+def compile_shader(device: Any, label: str, source: Composed, *, trusted: bool = False) -> Shader:
+    """Compile; raises `ShaderError` with the file, line and text of the fault.
+
+    `trusted`: whether loops are taken to end (trusted.py); of no use to software drivers, which then unroll too much.
+    """
     try:
+        if trusted:
+            return Shader(label, trusted_module(device, label, source.text), source)
         return Shader(label, device.create_shader_module(label=label, code=source.text), source)
     except wgpu.GPUError as error:
         if lost(error):

@@ -154,7 +154,7 @@ def eye_of(frame: Frame, wedgies: Wedgies) -> Any:
     lod = frame.lod
     units = 2.0 ** (wedgies.bits - wedgies.level)
     if lod.orthographic:
-        pixels = frame.size[1] / lod.orthographic
+        pixels = frame.lod_size[1] / lod.orthographic
     else:
         pixels = frame.pixels_per_radian(lod)
     # an orthographic camera's own place does not matter

@@ -17,6 +17,7 @@ from orogen.pyramid.output import Layer, Output, Report
 from orogen.pyramid.task import Recipe
 from orogen.pyramid.update import Update
 from orogen.pyramid.workers import hired
+from orogen.source.mosaic import absolute
 
 COG_SUFFIXES = (".tif", ".tiff")
 
@@ -131,9 +132,9 @@ def _opened(
     images: Mapping[str, Any] | None,
     scheduler: str | None,
 ) -> Iterator[list[Layer]]:
-    heights = Recipe(_absolute(data), dict(options or {}))
+    heights = Recipe(absolute(data), dict(options or {}))
     recipes = {"height": heights}
-    recipes |= {name: Recipe(_absolute(given), {}) for name, given in (layers or {}).items()}
+    recipes |= {name: Recipe(absolute(given), {}) for name, given in (layers or {}).items()}
     drape = {"color_extent": color_extent}
     colours = ({} if color is None else {"color": color}) | dict(images or {})
     with ExitStack() as stack:
@@ -144,7 +145,7 @@ def _opened(
         for name, given in colours.items():
             if name in recipes:
                 raise SettingsError(f"layers: expected different names, got {name!r} twice")
-            recipe = Recipe(_absolute(given), drape, heights)
+            recipe = Recipe(absolute(given), drape, heights)
             found.append(Layer(checked_name(name), recipe.over(found[0].source), recipe))
             stack.callback(found[-1].source.close)
         for layer in found:
@@ -161,15 +162,6 @@ def checked_name(name: str) -> str:
     if not name.replace("-", "").replace("_", "").isalnum():
         raise SettingsError(f"layer: expected a name of letters, digits, - and _, got {name!r}")
     return name
-
-
-def _absolute(data: Any) -> Any:
-    """Paths as other processes understand them too."""
-    if isinstance(data, list | tuple):
-        return type(data)(_absolute(part) for part in data)
-    if isinstance(data, str | os.PathLike) and os.path.exists(data):
-        return os.path.abspath(data)
-    return data
 
 
 def _size(path: Path) -> int:

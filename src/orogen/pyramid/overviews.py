@@ -22,6 +22,8 @@ from orogen.source.contract import Overview, Source, overviews_of
 
 MOST = 4.5
 """Samples of an overview along a texel of a level, at most: beyond, too much is read for a node."""
+ONE = 0.9
+"""Samples of an overview along a texel that count as one."""
 COARSE = 2048
 """Rows and columns, at most, of an overview that is read whole to make the levels that are coarser than all of them."""
 LAST = 8
@@ -60,7 +62,7 @@ class OverviewLevels:
         self._overviews = [_Whole(self._shape, source), *overviews]
         # means of two by two samples hide where these lie; where reading is dear, one for one has to do. Sizes are
         # rounded either way
-        self._least = 1.8 if source.direct else 0.9
+        self._least = 1.8 if source.direct else ONE
 
     @property
     def complete(self) -> bool:
@@ -138,7 +140,7 @@ class OverviewLevels:
         chosen = overviews[0], np.inf
         for overview in overviews:
             step = min(2**level * n / size for n, size in zip(overview.shape, self._shape, strict=True))
-            if step > self._least:
+            if step > self._least or (step > ONE and chosen[1] > MOST):
                 chosen = overview, step
         return chosen
 

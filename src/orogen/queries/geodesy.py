@@ -54,7 +54,7 @@ class Geodesy:
     def circle(self, place: tuple[float, float], radius: float) -> tuple[F64, F64] | None:
         """x, y in the grid's CRS of points around a place, a degree apart, slightly farther than `radius` metres.
 
-        None where the circle goes over a pole or across 180 degrees, or where the CRS does not reach.
+        Longitudes go on across 180 degrees. None where the circle goes over a pole, or where the CRS does not reach.
         """
         azimuth = np.arange(360.0)
         wide = radius / math.cos(math.radians(0.5)) * 1.0001
@@ -63,7 +63,9 @@ class Geodesy:
             return place[0] + east / self._grid.ground_scale[0], place[1] + north / self._grid.ground_scale[1]
         to_lonlat, geod, degrees = self._ellipsoid
         lon, lat = (np.full(360, float(part) * degrees) for part in to_lonlat.transform(*place))
+        middle = lon[0]
         lon, lat, _ = geod.fwd(lon, lat, azimuth, np.full(360, wide))
+        lon = middle + (lon - middle + 180) % 360 - 180
         if np.ptp(lon) > 180:
             return None
         x, y = to_lonlat.transform(lon / degrees, lat / degrees, direction="INVERSE")

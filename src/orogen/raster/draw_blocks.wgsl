@@ -30,7 +30,7 @@ fn draw_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         let w2 = start[2] + raster_cross64(edges[2], step * 256);
         if (any(pixel >= frame.size) || w0 < least[0] || w1 < least[1] || w2 < least[2]) { continue; }
         let at = ((vec2<f32>(pixel) + 0.5) / vec2<f32>(frame.size) * 2.0 - 1.0) * vec2<f32>(1.0, -1.0);
-        let depth = clamp(dot(piece.depth, vec3<f32>(at, 1.0)), 1e-30, 1.0);
+        let depth = clamp(dot(piece.depth, vec3<f32>(at, 1.0)), piece.low, piece.high);
         if (!raster_is_ground(pixel, depth)) { continue; }
         raster_show(pixel, depth, piece.triangle);
     }

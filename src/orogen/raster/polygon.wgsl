@@ -10,6 +10,8 @@ struct RasterPiece {
     depth: vec3<f32>,       // as a linear function of (x, y, 1) in the picture from -1 to 1
     triangle: u32,
     positions: array<vec2<i32>, 3>,
+    low: f32,               // depths that pixels may have
+    high: f32,
 }
 
 struct RasterBlock { piece: u32, place: u32 }

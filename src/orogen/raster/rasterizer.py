@@ -31,9 +31,9 @@ class Rasterizer:
         self._path = path
         gpu = clipmap.gpu
         if path not in PATHS:
-            raise expected_name("rasteriser", path, PATHS)
+            raise expected_name("rasterizer", path, PATHS)
         if path == "compute" and not can_rasterize(gpu):
-            raise SettingsError("rasteriser: the adapter lacks 64-bit atomics; choose 'auto' or 'hardware'")
+            raise SettingsError("rasterizer: the adapter lacks 64-bit atomics; choose 'auto' or 'hardware'")
         self.read_layout = gpu.layout("surface", READ_LAYOUT)
         """Layout of `Surface.read_group`."""
         self._write_layout = gpu.layout("surface targets", WRITE_LAYOUT)
@@ -94,17 +94,7 @@ class Rasterizer:
         surface: Surface,
         clear: bool,
     ) -> None:
-        load = "clear" if clear else "load"
-        color = {"load_op": load, "store_op": "store", "clear_value": (0, 0, 0, 0)}
-        run = timer.render_pass(
-            encoder,
-            "raster",
-            color_attachments=[{"view": texture.view(), **color} for texture in surface.targets.values()],
-            depth_stencil_attachment={
-                "view": surface.z.view(), "depth_load_op": load, "depth_store_op": "store",
-                "depth_clear_value": 0.0,
-            },
-        )  # fmt: skip
+        run = timer.render_pass(encoder, "raster", **(surface.cleared if clear else surface.kept))
         run.set_bind_group(0, view.bind_group)
         for draw in patches:
             run.set_pipeline(self._patch_pipeline(draw))

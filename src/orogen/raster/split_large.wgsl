@@ -5,10 +5,20 @@
 fn split_large(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= min(atomicLoad(&raster_queues.large), arrayLength(&raster_large))) { return; }
     let polygon = raster_clipped(raster_large[id.x]);
+    // as for small ones: see RasterDepthPlane
+    var low = 1.0;
+    var high = 0.0;
+    for (var i = 0u; i < polygon.count; i += 1u) {
+        let depth = polygon.clip[i].z / polygon.clip[i].w;
+        low = min(low, depth);
+        high = max(high, depth);
+    }
     for (var i = 2u; i < polygon.count; i += 1u) {
         var piece: RasterPiece;
         piece.depth = polygon.depth;
         piece.triangle = raster_large[id.x];
+        piece.low = max(2.0 * low - high, 1e-30);
+        piece.high = min(2.0 * high - low, 1.0);
         for (var k = 0u; k < 3u; k += 1u) {
             piece.positions[k] = raster_fixed_position(polygon.clip[select(i - 2u + k, 0u, k == 0u)]);
         }

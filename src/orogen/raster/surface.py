@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 from orogen.gpu import Gpu, Readback
@@ -38,6 +39,24 @@ class Surface:
         """Bind group 2 of shaders that include surface.wgsl."""
         self.write_group = gpu.bind("surface", write_layout, numbered)
         """Bind group 2 of ray passes."""
+
+    @cached_property
+    def cleared(self) -> dict[str, Any]:
+        """Attachments of a render pass that clears the surface first."""
+        return self._attachments("clear")
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """Attachments of a render pass that adds to the surface."""
+        return self._attachments("load")
+
+    def _attachments(self, load: str) -> dict[str, Any]:
+        color = {"load_op": load, "store_op": "store", "clear_value": (0, 0, 0, 0)}
+        depth = {"depth_load_op": load, "depth_store_op": "store", "depth_clear_value": 0.0}
+        return {
+            "color_attachments": [{"view": texture.view(), **color} for texture in self.targets.values()],
+            "depth_stencil_attachment": {"view": self.z.view(), **depth},
+        }
 
     def read(self, name: str) -> Readback:
         """A target as (height, width) array: "depth" float32 (reverse z, 0 for the sky), "id", "detail" uint32."""

@@ -59,6 +59,8 @@ class Samples:
         """Samples added since the last `reset`."""
         self.ramp: str | None = None
         """Name of the ramp that `ramp_table` holds."""
+        self.styled: Any = None
+        """What `style` was made of."""
         self.style = gpu.buffer("style", 4 * _STYLE_FLOATS, "UNIFORM|COPY_DST", "shading")
         self.ramp_table = gpu.buffer("ramp", 16 * RAMP_SIZE, "UNIFORM|COPY_DST", "shading")
         self.resolve = gpu.buffer("resolve", 4 * _RESOLVE_FLOATS, "UNIFORM|COPY_DST", "shading")
@@ -183,7 +185,10 @@ class Shading:
         """
         if frame.size != samples.size:
             raise GpuError(f"shading: expected samples for the frame's {frame.size} pixels, got {samples.size}")
-        samples.write(samples.style, style_block(style, frame))
+        styled = style, frame.grid, frame.height_range, frame.exaggeration, frame.camera.orthographic
+        if styled != samples.styled:
+            samples.write(samples.style, style_block(style, frame))
+            samples.styled = styled
         if samples.ramp != style.ramp:
             table = np.ones((RAMP_SIZE, 4), np.float32)
             table[:, :3] = ramp_table(style.ramp)
@@ -208,7 +213,7 @@ class Shading:
     def _shade_pipeline(self, flags: int, first: bool, last: bool) -> Any:
         key = flags, first, last
         if key not in self._shade_pipelines:
-            constants = {**self._constants, "FLAGS": flags, "FIRST": first}
+            constants = {**self._constants, "FLAGS": flags, "FIRST": first, "ANY_HIT": True}
             name = "finish" if last else "accumulate"
             shader = self._gpu.shader(name, _HERE / f"{name}.wgsl", search=self._search, constants=constants)
             own = self._layouts.finish if last else self._layouts.add

@@ -58,6 +58,9 @@ class Style:
     def __post_init__(self) -> None:
         _one_of("color", self.color, COLOR_MODES)
         check_ramp(self.ramp)
+        overlays: object = self.overlays
+        if isinstance(overlays, str):
+            raise SettingsError(f"overlays: expected a tuple of names, such as ('contours',), got {overlays!r}")
         for overlay in self.overlays:
             _one_of("overlays", overlay, OVERLAYS)
         if self.ramp_range is not None:
@@ -89,7 +92,11 @@ def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
 
 
 def _pair(name: str, value: tuple[float, float]) -> None:
-    if len(value) != 2 or not all(math.isfinite(v) for v in value):
+    try:
+        good = len(value) == 2 and all(math.isfinite(v) for v in value)
+    except TypeError:
+        good = False
+    if not good:
         raise SettingsError(f"{name}: expected two finite numbers, got {value}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
@@ -57,6 +58,21 @@ def levels_of(source: Source) -> Levels | None:
 def overviews_of(source: Source) -> Sequence[Overview]:
     """Overviews that a source has (its attribute `overviews`), the finest first; most have none."""
     return getattr(source, "overviews", ())
+
+
+@dataclass(frozen=True)
+class Quantum:
+    """Heights that are whole numbers of a step above an offset, as stored integers are."""
+
+    step: float
+    """Metres, above 0."""
+    offset: float = 0.0
+    """Metres."""
+
+
+def quantum_of(source: Source) -> Quantum | None:
+    """What all heights of level 0 are whole numbers of (a source's attribute `quantum`), or None where unknown."""
+    return getattr(source, "quantum", None)
 
 
 def attribution_of(source: Source) -> str:

@@ -48,7 +48,7 @@ def open_height(data: Any, options: HeightOptions) -> Source:
         own = dataset.crs
         transform = None if dataset.transform.is_identity else affine(dataset)
         warped = not (own is None or wanted is None or options.spacing or transform is None or same_place(own, wanted))
-        vertical = _vertical(own, wanted, file.path)
+        vertical = vertical_of(own, wanted, file.path)
         unit = vertical_unit(options.vertical_units, dataset.units[0], vertical.unit, file.path)
         declared = dataset.nodata if options.nodata is None else options.nodata
         given = options.height_scale, options.height_offset
@@ -57,7 +57,7 @@ def open_height(data: Any, options: HeightOptions) -> Source:
         masked = not {"all_valid", "nodata"} & {flag.name for flag in dataset.mask_flag_enums[0]}
         samples = _samples(file, dataset, masked, packed)
         height, width = dataset.shape
-        stamp, dtype, credit = file.stamp(dataset), dataset.dtypes[0], _credit(dataset)
+        stamp, dtype, credit = file.stamp(dataset), dataset.dtypes[0], credit_of(dataset)
     reference = wanted if own is None or (options.spacing and wanted) else own
     grid = make_grid(width, height, transform, reference, options.spacing, file.path)
     facts = Facts(
@@ -76,15 +76,15 @@ def open_height(data: Any, options: HeightOptions) -> Source:
     return replace(there, fingerprint=f"{source.fingerprint}|warp={there.grid.transform}|{there.grid.crs}")
 
 
-def open_colour(data: Any, heights: Source, options: ColourOptions) -> Source:
-    """Pixels of an image, warped where its CRS is not that of the heights."""
+def open_colour(data: Any, heights: Source, options: ColourOptions, hold: bool = True) -> ColourSource:
+    """Pixels of an image, warped where its CRS is not that of the heights; small ones are read now if `hold`."""
     file = open_raster(data)
     with file.handle() as dataset:
         _check_place(dataset, file.path, HeightOptions())
         own = dataset.crs or (parse_crs(options.crs) if options.crs else None)
         target = heights.grid.crs
         georeferenced = not dataset.transform.is_identity
-        credit = _credit(dataset)
+        credit = credit_of(dataset)
     if georeferenced and own is not None and target is not None and not same_place(own, parse_crs(target)):
         file = replace(file, warp=Warp(target, source_crs=own.to_wkt()))
     with file.handle() as dataset:
@@ -96,7 +96,7 @@ def open_colour(data: Any, heights: Source, options: ColourOptions) -> Source:
             grid = drape(width, height, heights.grid, options.color_extent)
         stamp = file.stamp(dataset)
         stored = FileColours(file, shape, dataset.block_shapes[0], file.warp is None and is_direct(dataset), bands)
-    small = fits_memory(shape)
+    small = hold and fits_memory(shape)
     if small:
         in_memory = ArrayColours(stored.read(slice(0, height), slice(0, width)))
         file.close()
@@ -108,7 +108,7 @@ def open_colour(data: Any, heights: Source, options: ColourOptions) -> Source:
     return turned(source, heights.grid, turn) if georeferenced else source
 
 
-def _credit(dataset: Any) -> str:
+def credit_of(dataset: Any) -> str:
     """Who is to be named, as a TIFF file or its metadata say."""
     return " ".join(str(dataset.tags().get("TIFFTAG_COPYRIGHT", "")).split())
 
@@ -139,7 +139,7 @@ def _warped(file: RasterFile, source: HeightSource, crs: Any, packed: bool) -> H
     return survey(samples, replace(source.values, nodata=None, sentinels=()), facts, doubt=False)
 
 
-def _vertical(own: Any, wanted: Any, path: str) -> Vertical:
+def vertical_of(own: Any, wanted: Any, path: str) -> Vertical:
     """The vertical reference of a file, or the one given for a file that names none."""
     vertical, other = vertical_reference(own), vertical_reference(wanted)
     if vertical.name is not None and other.name is not None and vertical != other:

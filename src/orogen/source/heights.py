@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orogen.errors import SourceError
 from orogen.grid import Grid
+from orogen.source.contract import Quantum
 from orogen.source.raster import RasterFile
 from orogen.source.values import Values
 
@@ -188,6 +189,12 @@ class HeightSource(Facts):
     def direct(self) -> bool:
         """Whether small windows are cheap."""
         return self.samples.direct
+
+    @property
+    def quantum(self) -> Quantum | None:
+        """What heights are whole numbers of, where integers are stored."""
+        whole = np.dtype(self.dtype).kind in "iu"
+        return Quantum(abs(self.values.scale), self.values.offset) if whole else None
 
     def read(self, rows: slice, cols: slice) -> NDArray[np.float32]:
         """float32 metres (rows, columns) of a window inside the raster, NaN = nodata."""

@@ -91,7 +91,9 @@ def shown(url: str) -> str:
     """A URL for messages: without user, password and query, which may be secrets."""
     parts = urlsplit(url)
     hidden = "?..." if parts.query else ""
-    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}{hidden}"
+    # of Azure a container stands there, not a user
+    host = parts.netloc if parts.scheme in ("az", "abfs") else parts.netloc.rpartition("@")[2]
+    return f"{parts.scheme}://{host}{parts.path}{hidden}"
 
 
 def open_store(url: str) -> tuple[ObjectStore, str]:
@@ -111,11 +113,16 @@ def open_store(url: str) -> tuple[ObjectStore, str]:
             return S3Store(bucket, **shared, **_s3()), path
         if scheme == "gs":
             return GCSStore(bucket, **shared, **_unsigned("GS_NO_SIGN_REQUEST")), path
-        return AzureStore(bucket.partition("@")[0], **shared, **_azure()), path
+        container, _, host = bucket.partition("@")
+        account: dict[str, Any] = {"account_name": host.partition(".")[0]} if host else {}
+        return AzureStore(container, **shared, **(_azure() | account)), path
     except SourceError:
         raise
     except Exception as error:  # obstore's errors of configuration have no common type
-        raise SourceError(f"{shown(url)}: cannot be reached: {_line(error)}; check the address") from error
+        advice = (
+            "set AZURE_STORAGE_ACCOUNT" if "Account must be" in str(error) else "check the address and the settings"
+        )
+        raise SourceError(f"{shown(url)}: cannot be reached: {_line(error)}; {advice}") from error
 
 
 def validator(meta: Any) -> str | None:

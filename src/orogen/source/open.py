@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Literal, Protocol
 
-from orogen.errors import SourceError
+from orogen.errors import SettingsError, SourceError
 from orogen.source import arrays, files, labelled, mosaic, procedural, stored, synthetic, tiles
 from orogen.source.contract import Source
 from orogen.source.gdal import quietly
@@ -55,14 +56,16 @@ def open_height(
     zoom: of map tiles (a folder of {z}/{x}/{y}.png, or a path or URL with {z}, {x} and {y} or {-y}): the finest in a
     folder unless given. area: west, south, east, north in degrees of the part that is taken of them.
 
-    Raises SourceError where the data cannot be used; the message names the file, the cause and what to do.
+    Raises SourceError where the data cannot be used, SettingsError for options out of their range; the message names
+    the file or option, the cause and what to do.
     """
     options = HeightOptions(
         spacing, height_scale, height_offset, nodata, vertical_units, crs, encoding, zoom, area
     )  # fmt: skip
     opener = _opener(data)
     if opener is not tiles and (zoom is not None or area is not None):
-        raise SourceError(f"{data}: zoom= and area= are for trees of map tiles; leave them out")
+        name = data if isinstance(data, str | os.PathLike) else type(data).__name__
+        raise SettingsError(f"{name}: zoom= and area= are for trees of map tiles; leave them out")
     with quietly():
         return opener.open_height(data, options)
 
@@ -84,7 +87,7 @@ def open_colour(
     crs: CRS of an image that names none; else that of the heights is taken.
     ramp: the colours of the values of a raster of one band, which `data` is then.
 
-    Raises SourceError where the data cannot be used.
+    Raises SourceError where the data cannot be used, SettingsError for options out of their range.
     """
     options = ColourOptions(color_extent, crs)
     with quietly():

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal
 
-from orogen.errors import SourceError
+from orogen.errors import SettingsError, SourceError
 from orogen.source.packed import encoding_named
+from orogen.source.scale import parse_crs
+from orogen.source.values import unit_name
 
 Area = tuple[float, float, float, float]
 """West, south, east and north in degrees of longitude and latitude."""
@@ -37,18 +41,23 @@ class HeightOptions:
     """Part of the world to take of map tiles; None: wherever there are tiles."""
 
     def __post_init__(self) -> None:
+        for name in ("spacing", "height_scale", "height_offset", "nodata"):
+            if not isinstance(value := getattr(self, name), Real | None):
+                raise SettingsError(f"{name}: expected a number, got {value!r}")
         if self.spacing is not None and not (math.isfinite(self.spacing) and self.spacing > 0):
-            raise SourceError(f"spacing: expected metres above 0, got {self.spacing:g}")
+            raise SettingsError(f"spacing: expected metres above 0, got {self.spacing:g}")
         if self.height_scale is not None and not (math.isfinite(self.height_scale) and self.height_scale != 0):
-            raise SourceError(f"height_scale: expected a finite number other than 0, got {self.height_scale:g}")
+            raise SettingsError(f"height_scale: expected a finite number other than 0, got {self.height_scale:g}")
         if self.height_offset is not None and not math.isfinite(self.height_offset):
-            raise SourceError(f"height_offset: expected a finite number, got {self.height_offset:g}")
+            raise SettingsError(f"height_offset: expected a finite number, got {self.height_offset:g}")
         if self.encoding is not None:
             encoding_named(self.encoding)
+        _check(unit_name, self.vertical_units)
+        _check(parse_crs, self.crs)
         if self.area is not None:
             west, south, east, north = self.area
             if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
-                raise SourceError(f"area: expected (west, south, east, north) in degrees, got {self.area}")
+                raise SettingsError(f"area: expected (west, south, east, north) in degrees, got {self.area}")
 
 
 @dataclass(frozen=True)
@@ -62,4 +71,14 @@ class ColourOptions:
 
     def __post_init__(self) -> None:
         if self.color_extent not in ("pixels", "samples"):
-            raise SourceError(f"color_extent: expected 'pixels' or 'samples', got {self.color_extent!r}")
+            raise SettingsError(f"color_extent: expected 'pixels' or 'samples', got {self.color_extent!r}")
+        _check(parse_crs, self.crs)
+
+
+def _check(read: Callable[[str], object], text: str | None) -> None:
+    """Raise SettingsError for a word of the user that nothing is known of: the data cannot be blamed for it."""
+    try:
+        if text is not None:
+            read(text)
+    except SourceError as error:
+        raise SettingsError(str(error)) from error

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.errors import SourceError
+from orogen.errors import SettingsError
 from orogen.source.values import Values
 
 ENCODINGS = {
@@ -52,7 +52,7 @@ def recognised(pixels: NDArray[Any]) -> str | None:
 def encoding_named(name: str) -> Values:
     """The meaning of an encoding that a user names."""
     if name not in ENCODINGS:
-        raise SourceError(f"encoding: expected {' or '.join(map(repr, ENCODINGS))}, got {name!r}")
+        raise SettingsError(f"encoding: expected {' or '.join(map(repr, ENCODINGS))}, got {name!r}")
     return ENCODINGS[name]
 
 

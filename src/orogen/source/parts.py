@@ -1,24 +1,25 @@
-"""Rasters of heights laid beside and over each other, opened when they are needed."""
+"""Rasters laid beside and over each other, opened when they are needed."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.errors import NoSampleError
+from orogen.grid import Grid
 from orogen.source import files
-from orogen.source.contract import Source
+from orogen.source.contract import Kind, Source
 from orogen.source.heights import Facts, check_window
-from orogen.source.options import HeightOptions
+from orogen.source.options import ColourOptions, HeightOptions
 from orogen.source.survey import fits_memory
-from orogen.source.warp import resampled_overview, warped_window
+from orogen.source.warp import empty, resampled_overview, warped_window
 
 OPEN = 64
 """Rasters that are open at once, at most."""
@@ -34,8 +35,12 @@ class Part(Facts):
     """What opens it."""
     direct: bool
     """Whether small windows of it are cheap."""
+    reference: str | None = None
+    """CRS that it is opened with, for what it does not name itself; it lies where its own says."""
     box: tuple[int, int, int, int] = (0, 0, 0, 0)
     """First and last + 1 row, first and last + 1 column in the mosaic."""
+    turn: float = 0.0
+    """CRS units around the globe by which it is moved along x, to lie beside the others."""
     aligned: bool = False
     """Whether its samples are samples of the mosaic; else it is warped."""
 
@@ -46,16 +51,21 @@ class MosaicSource(Facts):
 
     parts: tuple[Part, ...]
     """In the order in which they are laid."""
-    options: HeightOptions
+    options: HeightOptions | ColourOptions
     """How each of them is read."""
-    kind: Literal["height"] = field(default="height", init=False)
-    """Heights."""
+    heights: Source | None = None
+    """What images are draped over; None for heights."""
     nodata: None = field(default=None, init=False)
     """Each raster has its own."""
     block: tuple[int, int] = field(default=(512, 512), init=False)
     """(rows, columns) worth reading at once."""
     _open: OrderedDict[int, Source | None] = field(default_factory=OrderedDict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    @property
+    def kind(self) -> Kind:
+        """Heights, or colours over heights."""
+        return "height" if self.heights is None else "colour"
 
     @cached_property
     def _index(self) -> _Index:
@@ -66,10 +76,10 @@ class MosaicSource(Facts):
         """Whether small windows are cheap."""
         return all(part.direct and part.aligned for part in self.parts)
 
-    def read(self, rows: slice, cols: slice) -> NDArray[np.float32]:
-        """float32 metres (rows, columns) of a window inside the mosaic, NaN = nodata."""
+    def read(self, rows: slice, cols: slice) -> NDArray[Any]:
+        """A window inside the mosaic, as `Source.read`; nodata between the parts."""
         check_window(rows, cols, self.grid.shape, self.name)
-        result = np.full((rows.stop - rows.start, cols.stop - cols.start), np.nan, np.float32)
+        result = empty((rows.stop - rows.start, cols.stop - cols.start), self.kind)
         for number in self._index.meeting(rows, cols):
             part = self.parts[number]
             top, bottom, left, right = part.box
@@ -81,24 +91,27 @@ class MosaicSource(Facts):
             if part.aligned:
                 found = source.read(slice(r.start - top, r.stop - top), slice(c.start - left, c.stop - left))
             else:
-                found = warped_window(source, self.grid, r, c)
-            into = result[r.start - rows.start : r.stop - rows.start, c.start - cols.start : c.stop - cols.start]
-            np.copyto(into, found, where=~np.isnan(found))
+                found = warped_window(source, self._seen_by(part), r, c)
+            _lay(found, result[r.start - rows.start : r.stop - rows.start, c.start - cols.start : c.stop - cols.start])
         return result
 
-    def overview(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """float32 metres of the whole mosaic at `shape` (rows, columns), from an overview of each raster."""
+    def overview(self, shape: tuple[int, int]) -> NDArray[Any]:
+        """The whole mosaic at `shape` (rows, columns), from an overview of each raster."""
         shape = min(shape[0], self.grid.height), min(shape[1], self.grid.width)
-        result = np.full(shape, np.nan, np.float32)
+        result = empty(shape, self.kind)
         scale = shape[0] / self.grid.height, shape[1] / self.grid.width
         for number, part in enumerate(self.parts):
             top, bottom, left, right = part.box
             rows = slice(int(top * scale[0]), min(shape[0], int(np.ceil(bottom * scale[0]))))
             cols = slice(int(left * scale[1]), min(shape[1], int(np.ceil(right * scale[1]))))
             if (source := self.part(number)) is not None:
-                found = resampled_overview(source, self.grid, shape, rows, cols)
-                np.copyto(result[rows, cols], found, where=~np.isnan(found))
+                _lay(resampled_overview(source, self._seen_by(part), shape, rows, cols), result[rows, cols])
         return result
+
+    def _seen_by(self, part: Part) -> Grid:
+        """The grid where a part lies by its own count of longitudes."""
+        a, b, c, d, e, f = self.grid.transform
+        return replace(self.grid, transform=(a, b, c - part.turn, d, e, f)) if part.turn else self.grid
 
     def close(self) -> None:
         """Release open files."""
@@ -116,7 +129,7 @@ class MosaicSource(Facts):
                 self._open.move_to_end(number)
                 return self._open[number]
         try:
-            source: Source | None = files.open_height(self.parts[number].data, self.options)
+            source = self._opened(self.parts[number])
         except NoSampleError:
             source = None
         surplus: list[Source | None] = []
@@ -129,9 +142,23 @@ class MosaicSource(Facts):
                 old.close()
         return source
 
+    def _opened(self, part: Part) -> Source | None:
+        if isinstance(self.options, HeightOptions):
+            return files.open_height(part.data, replace(self.options, crs=part.reference))
+        assert self.heights is not None, "images are draped over heights"
+        return files.open_colour(part.data, self.heights, self.options)
+
     def _held(self) -> int:
         shapes = [source.grid.shape for source in self._open.values() if source is not None]
         return sum(rows * cols for rows, cols in shapes if fits_memory((rows, cols)))
+
+
+def _lay(found: NDArray[Any], onto: NDArray[Any]) -> None:
+    """Lay a part over others, in place: where it is valid, of images where it is no more transparent than they are."""
+    if found.ndim == 2:
+        np.copyto(onto, found, where=~np.isnan(found))
+    else:
+        np.copyto(onto, found, where=(found[..., 3] > 0)[..., None] & (found[..., 3:] >= onto[..., 3:]))
 
 
 class _Index:

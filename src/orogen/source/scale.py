@@ -21,8 +21,11 @@ def parse_crs(text: str) -> CRS:
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
+    from orogen.source.gdal import quietly
+
     try:
-        return CRS.from_user_input(text)
+        with quietly():
+            return CRS.from_user_input(text)
     except (CRSError, ValueError) as error:
         raise SourceError(f"crs: expected 'EPSG:n' or WKT, got {text!r} ({error})") from error
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orogen.errors import SourceError, StoreError
 from orogen.grid import Grid
 from orogen.keys import level_count, level_shape
-from orogen.source.contract import Kind, Source
+from orogen.source.contract import Kind, Quantum, Source
 from orogen.source.heights import check_window
 from orogen.source.options import ColourOptions, HeightOptions
 from orogen.source.rounding import Rounding
@@ -233,6 +233,12 @@ class StoredSource:
     def dtype(self) -> str:
         """The type of the samples as stored."""
         return str(self.arrays.array(0, self.kind).dtype.name)
+
+    @property
+    def quantum(self) -> Quantum | None:
+        """What heights are whole numbers of, where they were rounded."""
+        rounding = _rounding(self.arrays.array(0, self.kind)) if self.kind == "height" else None
+        return Quantum(rounding.step) if rounding else None
 
     @property
     def units(self) -> str:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from orogen.errors import SourceError
 from orogen.grid import Grid
-from orogen.source.contract import Kind, Source, attribution_of
+from orogen.source.contract import Kind, Source
+from orogen.source.derived import DerivedSource
 from orogen.source.gdal import GDAL_ERRORS
 from orogen.source.georeference import check_stretch, make_grid
 from orogen.source.heights import check_window
@@ -24,11 +25,9 @@ STEP = 16
 
 
 @dataclass(frozen=True)
-class WarpedSource:
+class WarpedSource(DerivedSource):
     """A `Source` of heights or colours in the grid of another one."""
 
-    source: Source
-    """The source."""
     grid: Grid
     """The grid to read it in."""
     block: tuple[int, int] = field(default=(512, 512), init=False)
@@ -37,41 +36,6 @@ class WarpedSource:
     """Warping is not cheap."""
     covered: bool = field(default=False, init=False)
     """The edges of a warped raster are seldom filled."""
-
-    @property
-    def kind(self) -> Kind:
-        """Heights or colours."""
-        return self.source.kind
-
-    @property
-    def name(self) -> str:
-        """The source's."""
-        return self.source.name
-
-    @property
-    def dtype(self) -> str:
-        """The source's."""
-        return self.source.dtype
-
-    @property
-    def nodata(self) -> float | None:
-        """The source's."""
-        return self.source.nodata
-
-    @property
-    def units(self) -> str:
-        """The source's."""
-        return self.source.units
-
-    @property
-    def vertical_crs(self) -> str | None:
-        """The source's."""
-        return self.source.vertical_crs
-
-    @property
-    def attribution(self) -> str:
-        """The source's."""
-        return attribution_of(self.source)
 
     @property
     def fingerprint(self) -> str | None:
@@ -88,10 +52,6 @@ class WarpedSource:
         """An overview of the source, warped."""
         shape = min(shape[0], self.grid.height), min(shape[1], self.grid.width)
         return resampled_overview(self.source, self.grid, shape, slice(0, shape[0]), slice(0, shape[1]))
-
-    def close(self) -> None:
-        """Release open files."""
-        self.source.close()
 
 
 def warped_grid(grid: Grid, crs: str, name: str) -> Grid:

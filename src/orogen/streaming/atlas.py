@@ -11,7 +11,11 @@ import numpy as np
 
 from orogen.errors import BudgetError
 from orogen.gpu import Gpu, Texture
+from orogen.gpu.formats import texture_bytes
 from orogen.keys import NodeKey
+from orogen.streaming.bc7 import FORMAT as BC7
+from orogen.streaming.bc7 import BlockEncoder
+from orogen.streaming.heightformat import FLOATS, HeightFormat
 from orogen.streaming.settings import COLOR_BORDER, COLOR_MIPS, HEIGHT_BORDER
 from orogen.streaming.tiles import ColorNode, HeightNode
 
@@ -38,11 +42,16 @@ class Attachment:
     @property
     def nbytes(self) -> int:
         """Bytes per node."""
-        texel = {"r32float": 4, "r8unorm": 1, "rgba8unorm-srgb": 4}[self.format]
-        return sum(texel * (self.size[0] >> mip) * (self.size[1] >> mip) for mip in range(self.mips))
+        return texture_bytes(self.format, self.size, mips=self.mips)
+
+    @property
+    def upload_bytes(self) -> int:
+        """Bytes per node that come from the host: blocks are made of plain colours on the GPU."""
+        plain = "rgba8unorm-srgb" if self.format == BC7 else self.format
+        return 0 if self.computed else texture_bytes(plain, self.size, mips=self.mips)
 
 
-def height_attachments(node_size: int, covered: bool) -> tuple[Attachment, ...]:
+def height_attachments(node_size: int, covered: bool, form: HeightFormat = FLOATS) -> tuple[Attachment, ...]:
     """Attachments of the height layer."""
     side = node_size + 2 * HEIGHT_BORDER
     bits = node_size.bit_length() - 1
@@ -50,16 +59,16 @@ def height_attachments(node_size: int, covered: bool) -> tuple[Attachment, ...]:
     # the layout of maxima_layout.wgsl
     maxima = (node_size // 2 + 1 + node_size // 4 + 1, node_size // 2 + bits - 2)
     return (
-        Attachment("height", "r32float", (side, side)),
+        Attachment("height", form.texture, (side, side)),
         *coverage,
         Attachment("maxima", "r32float", maxima, computed=True),
     )
 
 
-def color_attachments(node_size: int) -> tuple[Attachment, ...]:
-    """Attachments of the colour layer."""
+def color_attachments(node_size: int, compressed: bool = False) -> tuple[Attachment, ...]:
+    """Attachments of the colour layer; `compressed`: as BC7 blocks."""
     side = node_size + 2 * COLOR_BORDER
-    return (Attachment("color", "rgba8unorm-srgb", (side, side), COLOR_MIPS),)
+    return (Attachment("color", BC7 if compressed else "rgba8unorm-srgb", (side, side), COLOR_MIPS),)
 
 
 class NodeAtlas:
@@ -71,13 +80,14 @@ class NodeAtlas:
         """`node_count`: nodes of the whole pyramid; `memory`: bytes at most; `keep`: slots that must fit at least."""
         self._gpu = gpu
         self.attachments = attachments
-        per_node = sum(a.nbytes for a in attachments)
+        self.node_bytes = sum(a.nbytes for a in attachments)
+        """GPU memory of a node."""
         layers = gpu.limits["max-texture-array-layers"]
-        self.capacity = min(node_count, memory // per_node, layers)
+        self.capacity = min(node_count, memory // self.node_bytes, layers)
         if self.capacity < min(keep, node_count):
             raise BudgetError(
-                f"{label} atlas: expected room for at least {min(keep, node_count)} nodes of {per_node} bytes, got "
-                f"{memory} bytes; raise memory= or choose a smaller node_size="
+                f"{label} atlas: expected room for at least {min(keep, node_count)} nodes of {self.node_bytes} bytes, "
+                f"got {memory} bytes; raise memory= or choose a smaller node_size="
             )
         self.textures: Mapping[str, Texture] = {
             a.name: gpu.texture(
@@ -87,9 +97,10 @@ class NodeAtlas:
             )
             for a in attachments
         }  # fmt: skip
+        self._encoder = next((BlockEncoder(gpu, a.size, a.mips) for a in attachments if a.format == BC7), None)
         self._slots: OrderedDict[NodeKey, int] = OrderedDict()
         self._free = list(range(self.capacity))[::-1]
-        self.upload_bytes = sum(a.nbytes for a in attachments if not a.computed)
+        self.upload_bytes = sum(a.upload_bytes for a in attachments)
         """Bytes of a node that come from the host."""
 
     @property
@@ -126,6 +137,9 @@ class NodeAtlas:
     def upload(self, slot: int, node: HeightNode | ColorNode) -> None:
         """Copy a node's texels into a slot."""
         if isinstance(node, ColorNode):
+            if self._encoder:
+                self._encoder.encode(node.mips, self.textures["color"], slot)
+                return
             for mip, texels in enumerate(node.mips):
                 self._gpu.write_texture(self.textures["color"], texels, layer=slot, mip=mip)
             return
@@ -137,12 +151,14 @@ class NodeAtlas:
         """Give the memory back."""
         for texture in self.textures.values():
             texture.destroy()
+        if self._encoder:
+            self._encoder.destroy()
 
 
 class MaximaBuilder:
     """Makes the maximum pyramids of freshly uploaded height nodes on the GPU."""
 
-    def __init__(self, gpu: Gpu, atlas: NodeAtlas, node_bits: int) -> None:
+    def __init__(self, gpu: Gpu, atlas: NodeAtlas, node_bits: int, form: HeightFormat = FLOATS) -> None:
         self._gpu = gpu
         self._bits = node_bits
         self._slots = gpu.buffer("new slots", 4 * atlas.capacity, "STORAGE|COPY_DST", "clipmap")
@@ -150,7 +166,7 @@ class MaximaBuilder:
             "maxima",
             {
                 0: ("COMPUTE", "read"),
-                1: ("COMPUTE", "texture unfilterable 2d-array"),
+                1: ("COMPUTE", form.binding),
                 2: ("COMPUTE", "image r32float readwrite 2d-array"),
                 3: ("COMPUTE", "uniform dynamic"),
             },
@@ -169,7 +185,7 @@ class MaximaBuilder:
                 3: (numbers, 0, 4),
             },
         )
-        constants = {"NODE_BITS": node_bits, "HEIGHT_BORDER": HEIGHT_BORDER}
+        constants = {"NODE_BITS": node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, **form.constants}
         shader = gpu.shader("maxima", FOLDER / "maxima.wgsl", constants=constants)
         self._pipeline = gpu.compute("maxima", shader, "build", [layout])
 

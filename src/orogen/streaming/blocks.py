@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.frame import Frame
+from orogen.frame import Frame, subtexel_bits
 from orogen.grid import Grid
 
 MAX_LEVELS = 28
@@ -45,7 +46,8 @@ FRAME = np.dtype(
         ("planes", "f4", (5, 4)),
         ("lod_pixels_per_radian", "f4"),
         ("pixel_metres", "f4"),
-        ("padding", "f4", 2),
+        ("eye_rest", "f4"),
+        ("padding", "f4"),
     ]
 )
 
@@ -62,6 +64,7 @@ def _packing(block: np.dtype[Any]) -> struct.Struct:
 
 _CODES = {"f": "f", "i": "i", "u": "I"}
 _PACKED = _packing(FRAME)
+_PACKED_COLORS = struct.Struct("<4f2i2f")
 
 LAYER = np.dtype(
     [
@@ -83,31 +86,50 @@ CLIPMAP = np.dtype(
 )
 
 
-def frame_block(frame: Frame) -> NDArray[np.void]:
-    """The frame's uniform block (0-dimensional, dtype `FRAME`)."""
-    camera, bits = frame.camera, frame.subtexel_bits
-    right, up, forward = camera.basis.tolist()
+class _Fixed(NamedTuple):
+    """What frame blocks tell of a grid."""
+
+    metres: tuple[float, ...]
+    texels: tuple[float, ...]
+    extent: tuple[int, ...]
+    spacing: float
+
+
+@lru_cache(maxsize=16)
+def _fixed(grid: Grid) -> _Fixed:
+    bits = subtexel_bits(grid)
+    metres, texels = (grid.metres / (1 << bits)).ravel(), (grid.texels * (1 << bits)).ravel()
+    return _Fixed(tuple(metres.tolist()), tuple(texels.tolist()), tuple(extent(grid, bits).tolist()), grid.spacing)
+
+
+def frame_block(frame: Frame) -> bytes:
+    """The frame's uniform block, a value of dtype `FRAME`.
+
+    All in plain numbers, as this is done in every frame: for so few numpy takes several times as long.
+    """
+    camera, fixed = frame.camera, _fixed(frame.grid)
+    right, up, forward = camera.axes
     half_x, half_y = frame.half_extent
-    values = (
-        *frame.view_projection.T.ravel().tolist(),
-        *(half_x * v for v in right), 0.0,
-        *(half_y * v for v in up), 0.0,
+    x, y, z, w = frame.clip_rows
+    eye_height, eye_rest = frame.eye_height
+    return _PACKED.pack(
+        *(value for column in zip(x, y, z, w, strict=True) for value in column),
+        half_x * right[0], half_x * right[1], half_x * right[2], 0.0,
+        half_y * up[0], half_y * up[1], half_y * up[2], 0.0,
         *forward, camera.orthographic is not None,
-        *frame.metres.ravel().tolist(),
-        *(v * (1 << bits) for v in frame.grid.texels.ravel().tolist()),
-        *frame.anchor.tolist(), *frame.eye_offset.tolist(),
+        *fixed.metres, *fixed.texels,
+        *frame.anchor_subtexel, *frame.eye_fraction,
         *frame.size, *frame.jitter,
-        *frame.lod_eye().tolist(), frame.pixels_per_radian(),
-        camera.z / frame.exaggeration, frame.exaggeration, frame.curvature_factor, camera.near,
+        *frame.lod_place, frame.pixels_per_radian(),
+        eye_height, frame.exaggeration, frame.curvature_factor, camera.near,
         *(frame.depth_range if camera.orthographic else (0.0, 0.0)), *frame.height_range,
-        frame.ground_height * frame.exaggeration - camera.z, frame.grid.spacing, bits, frame.slice,
-        *extent(frame.grid, bits).tolist(),
+        frame.ground_height * frame.exaggeration - camera.z, fixed.spacing, frame.subtexel_bits, frame.slice,
+        *fixed.extent,
         *frame.planes().ravel().tolist(),
         frame.pixels_per_radian(frame.lod),
         camera.orthographic / frame.size[1] if camera.orthographic else 0.0,
+        eye_rest,
     )  # fmt: skip
-    # at once: numpy would take two microseconds for each of the fields
-    return np.frombuffer(_PACKED.pack(*values), FRAME)[0:1].reshape(())
 
 
 def extent(grid: Grid, bits: int) -> NDArray[np.int64]:
@@ -116,13 +138,34 @@ def extent(grid: Grid, bits: int) -> NDArray[np.int64]:
     return np.array([half, half, (grid.width << bits) - half, (grid.height << bits) - half])
 
 
-def color_mapping(frame: Frame, colors: Grid, bits: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Matrix from height subtexels to colour subtexels; colour subtexel of the frame's anchor, and its fraction."""
-    anchor = frame.anchor.astype(np.float64) / (1 << frame.subtexel_bits)
-    at = np.array([float(v) for v in colors.to_texel(*frame.grid.to_crs(*anchor))]) * (1 << bits)
-    to_colors = np.linalg.inv(_linear(colors)) @ _linear(frame.grid)
-    whole = np.floor(np.clip(at, -(2.0**30), 2.0**30))
-    return to_colors * 2.0 ** (bits - frame.subtexel_bits), whole.astype(np.int32), at - whole
+def color_mapping(
+    frame: Frame, colors: Grid, bits: int
+) -> tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...]]:
+    """2 x 2 matrix, row by row, from height subtexels to colour subtexels; colour subtexel of the frame's anchor, and
+    its fraction.
+    """
+    x, y = (at / (1 << frame.subtexel_bits) for at in frame.anchor_subtexel)
+    a, b, c, d, e, f = frame.grid.transform
+    at = [v * (1 << bits) for v in colors.texel_of(a * x + b * y + c, d * x + e * y + f)]
+    whole = [math.floor(min(max(v, -(2.0**30)), 2.0**30)) for v in at]
+    scale = 2.0 ** (bits - frame.subtexel_bits)
+    return (
+        tuple(scale * v for v in _to_colors(frame.grid, colors)),
+        tuple(whole),
+        tuple(v - w for v, w in zip(at, whole, strict=True)),
+    )
+
+
+def color_block(mapping: tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...]] | None) -> bytes:
+    """The end of a clipmap's uniform block, after its layers; zeros without colours."""
+    matrix, whole, rest = mapping or ((0.0,) * 4, (0, 0), (0.0, 0.0))
+    return _PACKED_COLORS.pack(*matrix, *whole, *rest)
+
+
+@lru_cache(maxsize=16)
+def _to_colors(grid: Grid, colors: Grid) -> tuple[float, ...]:
+    """From steps in texels of heights to steps in texels of colours."""
+    return tuple((np.linalg.inv(_linear(colors)) @ _linear(grid)).ravel().tolist())
 
 
 def _linear(grid: Grid) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,10 @@ SEARCH = (Path(orogen.__file__).parent, Path(__file__).parent)
 
 _STAGES = "VERTEX|FRAGMENT|COMPUTE"
 _NO_SLOT = 0xFFFF
+_PATIENCE = 4
+"""Frames of a moving camera for which the same nodes will do."""
+_FRAME_ROOM = -(-blocks.FRAME.itemsize // 256) * 256
+"""Bytes of the frame's block in its buffer, of which the clipmap's follows, where WebGPU lets one begin."""
 
 
 class Clipmap:
@@ -69,7 +74,8 @@ class Clipmap:
         self.colors = self.layers[1] if colors is not None else None
         self.constants = {
             "NODE_BITS": s.node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, "COLOR_BORDER": COLOR_BORDER,
-            "MAX_ANISOTROPY": MAX_ANISOTROPY,
+            "MAX_ANISOTROPY": MAX_ANISOTROPY, "COVERED": self.heights.covered, "ANY_HIT": False,
+            **self.heights.format.constants,
         }  # fmt: skip
         """Constants of clipmap.wgsl."""
         self._views: list[ClipmapView] = []
@@ -82,15 +88,17 @@ class Clipmap:
                 2: (_STAGES, "read"),
                 3: (_STAGES, "read"),
                 4: (_STAGES, "read"),
-                5: (_STAGES, array.format("unfilterable")),
+                5: (_STAGES, self.heights.format.binding),
                 6: (_STAGES, array.format("float")),
                 7: (_STAGES, array.format("unfilterable")),
                 8: (_STAGES, array.format("float")),
                 9: (_STAGES, "sampler filtering"),
+                10: (_STAGES, "sampler non-filtering"),
             },
         )
         """Layout of bind group 0, which every shader that includes frame.wgsl or clipmap.wgsl uses."""
         self.sampler = gpu.sampler("colour", mag_filter="linear", min_filter="linear", mipmap_filter="linear")
+        self.texel_sampler = gpu.sampler("texels")
         self._slots_version = -1
         self._unreadable: Failures[tuple[int, ...]] = Failures()
 
@@ -171,27 +179,33 @@ class Clipmap:
         Interpolated, so that levels do not jump while a camera moves.
         """
         layer = self.heights
-        texel = np.array([float(v) for v in self.grid.to_texel(x, y)])[::-1]
+        column, row = self.grid.texel_of(x, y)
         for level in filter(layer.tiles.readable, range(layer.pyramid.level_count)):
-            last = np.array(level_shape(self.grid.shape, level)) - 1
-            at = np.clip(texel / 2.0**level - 0.5, 0, last)
-            first = np.minimum(np.floor(at), np.maximum(last - 1, 0)).astype(int)
-            stop = np.minimum(first + 1, last) + 1
-            chunk = (level, *(first // CHUNK).tolist())
+            lasts = [count - 1 for count in level_shape(self.grid.shape, level)]
+            places = [
+                min(max(texel / 2.0**level - 0.5, 0.0), last) for texel, last in zip((row, column), lasts, strict=True)
+            ]
+            firsts = [min(math.floor(at), max(last - 1, 0)) for at, last in zip(places, lasts, strict=True)]
+            rows, cols = (slice(first, min(first + 1, last) + 1) for first, last in zip(firsts, lasts, strict=True))
+            chunk = (level, *(first // CHUNK for first in firsts))
             if self._unreadable.resting(chunk):
                 continue
             try:
-                heights = layer.tiles.window(level, slice(first[0], stop[0]), slice(first[1], stop[1]))
+                heights = layer.tiles.window(level, rows, cols)
             except Exception as error:
                 # the loader reports what cannot be read; here a coarser level will do
                 self._unreadable.add(chunk, error)
                 continue
             self._unreadable.remove(chunk)
-            way = at - first
-            weights = np.outer([1 - way[0], way[0]], [1 - way[1], way[1]])[: heights.shape[0], : heights.shape[1]]
-            weights = np.where(np.isfinite(heights), weights, 0.0)
-            if weights.sum() > 0:
-                return float((weights * np.nan_to_num(heights)).sum() / weights.sum())
+            down, right = (at - first for at, first in zip(places, firsts, strict=True))
+            total = weights = 0.0
+            for values, vertical in zip(heights.tolist(), (1 - down, down), strict=False):
+                for value, horizontal in zip(values, (1 - right, right), strict=False):
+                    if math.isfinite(value):
+                        total += vertical * horizontal * value
+                        weights += vertical * horizontal
+            if weights > 0:
+                return total / weights
         return sum(self.height_range) / 2
 
     def close(self) -> None:
@@ -224,9 +238,15 @@ class ClipmapView:
         self.clipmap = clipmap
         self.wishes: list[list[NodeKey]] = [[] for _ in clipmap.layers]
         """Nodes that the view wants, per layer, the most important first."""
+        self._wanted = self.wishes
+        self._asked: Any = None
+        self._answered: Any = None
+        self._late = 0
         gpu = clipmap.gpu
-        self._frame_buffer = gpu.buffer("frame", blocks.FRAME.itemsize, "UNIFORM|COPY_DST", "clipmap")
-        self._block_buffer = gpu.buffer("clipmap", blocks.CLIPMAP.itemsize, "UNIFORM|COPY_DST", "clipmap")
+        # in one buffer, so that one write is enough
+        self._uniforms = gpu.buffer("frame", _FRAME_ROOM + blocks.CLIPMAP.itemsize, "UNIFORM|COPY_DST", "clipmap")
+        self._sized_for: Any = None
+        self._view_distance = 0.0
         self._bits: list[int] = []
         self._starts: list[int] = []
         self._table: Buffer | None = None
@@ -235,8 +255,11 @@ class ClipmapView:
         self._drawn_bounds = np.zeros((0, 1, 1, 2), np.float32)
         self._height_origins: list[tuple[int, int]] = []
         self._frame: Frame | None = None
+        self._halves: list[tuple[int, int]] = []
+        self._origins: list[list[tuple[int, int]]] = []
         self._written_tables: Any = None
         self._written_block: Any = None
+        self._layer_blocks: tuple[Any, bytes] = None, b""
         self.bind_group: Any = None
         """Bind group 0 of every shader that reads the frame and the clipmap."""
 
@@ -249,8 +272,27 @@ class ClipmapView:
             height_range=self.clipmap.height_range,
         )
 
-    def want(self, frame: Frame) -> None:
-        """Work out which nodes the frame wants; `Clipmap.pump` loads them."""
+    @property
+    def behind(self) -> bool:
+        """Whether the nodes wanted are those of an earlier frame."""
+        return self._asked != self._answered
+
+    def want(self, frame: Frame, *, patient: bool = False) -> None:
+        """Work out which nodes the frame wants; `Clipmap.pump` loads them.
+
+        `patient`: only now and then while the camera moves, since that takes longer than to record a frame; `behind`
+        tells. A frame that is asked for again is always answered.
+        """
+        asked = frame, [(layer.pyramid.built, layer.pyramid.exact) for layer in self.clipmap.layers]
+        moves, self._asked = asked != self._asked, asked
+        if asked != self._answered:
+            self._late += 1
+            if self._answered is None or not (patient and moves and self._late < _PATIENCE):
+                self._wanted = self._nodes_for(frame)
+                self._answered, self._late = asked, 0
+        self.wishes = list(self._wanted)
+
+    def _nodes_for(self, frame: Frame) -> list[list[NodeKey]]:
         settings = self.clipmap.settings
         load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e15)
         low, high = self.clipmap.height_range
@@ -258,7 +300,7 @@ class ClipmapView:
         def everywhere(_: int, rows: NDArray, __: NDArray) -> tuple[NDArray, NDArray]:
             return np.full(rows.shape, low), np.full(rows.shape, high)
 
-        self.wishes = [
+        return [
             wanted(frame, layer.grid, layer.bounds if layer.is_height else everywhere, load, settings.behind)
             for layer in self.clipmap.layers
         ]
@@ -266,23 +308,24 @@ class ClipmapView:
     def update(self, frame: Frame) -> None:
         """Write the frame's numbers and, where camera or residency changed, the quadtrees."""
         self._frame = frame
-        settings, layers = self.clipmap.settings, self.clipmap.layers
-        view = settings.view_distance_for(frame.size, frame.lod_fov)
-        load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e6)
-        self._size_tables([_table_bits(layer.grid, load) for layer in layers])
-        origins = [
-            _origins(layer.grid, bits, _lod_texel(frame, layer.grid.grid))
-            for layer, bits in zip(layers, self._bits, strict=True)
-        ]
-        tables = (origins, [(layer.version, layer.pyramid.built) for layer in layers])
+        layers, gpu = self.clipmap.layers, self.clipmap.gpu
+        self._size_for(frame)
+        centres = [_lod_texel(frame, layer.grid.grid) for layer in layers]
+        halves = [_half_nodes(layer.grid, at) for layer, at in zip(layers, centres, strict=True)]
+        if halves != self._halves:
+            rows = zip(layers, self._bits, centres, strict=True)
+            self._origins = [_origins(layer.grid, bits, at) for layer, bits, at in rows]
+            self._halves = halves
+        tables = (self._halves, [(layer.version, layer.pyramid.built) for layer in layers])
         if tables != self._written_tables:
-            self._write_tables(origins)
+            self._write_tables(self._origins)
             self._written_tables = tables
-        block = (origins, view, frame.anchor.tolist(), [layer.present for layer in layers])
+        data, block = blocks.frame_block(frame), self._block(frame)
         if block != self._written_block:
-            self._write_block(frame, origins, view)
+            gpu.write(self._uniforms, data.ljust(_FRAME_ROOM, b"\0") + block)
             self._written_block = block
-        self.clipmap.gpu.write(self._frame_buffer, blocks.frame_block(frame))
+        else:
+            gpu.write(self._uniforms, data)
 
     def drawn_bounds(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.float32]:
         """Lowest and highest height (m) that may be drawn between samples, (n, 2), after `update`.
@@ -334,7 +377,7 @@ class ClipmapView:
         frame, settings = self._frame, self.clipmap.settings
         assert frame is not None, "update the view first"
         grid = self.clipmap.heights.grid
-        eye = _lod_texel(frame, grid.grid) - 0.5
+        eye = np.array(_lod_texel(frame, grid.grid)) - 0.5
         away = np.maximum(np.abs(low - eye), np.abs(high - eye)) @ np.linalg.norm(grid.grid.metres, axis=0)
         above = abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
         reach = settings.view_distance_for(frame.size, frame.lod_fov) * grid.node_size * grid.grid.spacing
@@ -365,16 +408,26 @@ class ClipmapView:
 
     def close(self) -> None:
         """Use `Clipmap.drop`."""
-        for buffer in (self._frame_buffer, self._block_buffer, self._table, self._bounds):
+        for buffer in (self._uniforms, self._table, self._bounds):
             if buffer is not None:
                 buffer.destroy()
+
+    def _size_for(self, frame: Frame) -> None:
+        """Make tables of the size that pictures of this size and angle need."""
+        sized_for = frame.size, frame.lod_fov
+        if sized_for != self._sized_for:
+            settings, self._sized_for = self.clipmap.settings, None
+            load = min(settings.load_distance_for(*sized_for), 1e6)
+            self._size_tables([_table_bits(layer.grid, load) for layer in self.clipmap.layers])
+            self._view_distance = settings.view_distance_for(*sized_for)
+            self._sized_for = sized_for
 
     def _size_tables(self, bits: list[int]) -> None:
         if bits == self._bits:
             return
         gpu, clipmap = self.clipmap.gpu, self.clipmap
         # what follows may find no memory: the next frame tries again
-        self._bits = []
+        self._bits, self._halves = [], []
         self._starts = [0]
         for layer, b in zip(clipmap.layers, bits, strict=True):
             self._starts.append(self._starts[-1] + (layer.grid.level_count << 2 * b))
@@ -385,8 +438,8 @@ class ClipmapView:
             "clipmap",
             clipmap.layout,
             {
-                0: self._frame_buffer,
-                1: self._block_buffer,
+                0: (self._uniforms, 0, blocks.FRAME.itemsize),
+                1: (self._uniforms, _FRAME_ROOM, blocks.CLIPMAP.itemsize),
                 2: self._table,
                 3: self._bounds,
                 4: clipmap.slot_buffer,
@@ -395,6 +448,7 @@ class ClipmapView:
                 7: clipmap.attachment("maxima"),
                 8: clipmap.attachment("color"),
                 9: clipmap.sampler,
+                10: clipmap.texel_sampler,
             },
         )
         self._bits = bits
@@ -410,24 +464,31 @@ class ClipmapView:
                 clipmap.gpu.write(self._bounds, bounds)
                 self._entries, self._drawn_bounds, self._height_origins = table, bounds, origins[i]
 
-    def _write_block(self, frame: Frame, origins: list[list[tuple[int, int]]], view: float) -> None:
-        block = np.zeros((), blocks.CLIPMAP)
+    def _block(self, frame: Frame) -> bytes:
+        """The clipmap's uniform block."""
+        clipmap = self.clipmap
+        key = self._halves, self._bits, self._view_distance, [layer.present for layer in clipmap.layers]
+        if key != self._layer_blocks[0]:
+            self._layer_blocks = key, self._make_layer_blocks()
+        mapping = None
+        if clipmap.colors:
+            grid = clipmap.colors.grid.grid
+            mapping = blocks.color_mapping(frame, grid, subtexel_bits(grid))
+        return self._layer_blocks[1] + blocks.color_block(mapping)
+
+    def _make_layer_blocks(self) -> bytes:
+        result = np.zeros((), blocks.CLIPMAP["layers"])
         for i, layer in enumerate(self.clipmap.layers):
-            row, grid = block["layers"][i], layer.grid.grid
+            row, grid = result[i], layer.grid.grid
             bits = subtexel_bits(grid)
             row["level_count"], row["table_bits"] = layer.grid.level_count, self._bits[i]
             row["table_start"], row["present"], row["covered"] = self._starts[i], layer.present, layer.covered
-            row["reach"] = min(view * layer.grid.node_size * grid.spacing, 1e30)
+            row["reach"] = min(self._view_distance * layer.grid.node_size * grid.spacing, 1e30)
             row["blend_range"], row["subtexel_bits"] = self.clipmap.settings.blend_range, bits
             whole = (0, 0, grid.width << bits, grid.height << bits)
             row["extent"] = blocks.extent(grid, bits) if layer.is_height else whole
-            row["origins"][: layer.grid.level_count, :2] = np.array(origins[i])[:, ::-1]
-        if self.clipmap.colors:
-            colors = self.clipmap.colors.grid.grid
-            block["color_matrix"], block["color_anchor"], block["color_offset"] = blocks.color_mapping(
-                frame, colors, subtexel_bits(colors)
-            )
-        self.clipmap.gpu.write(self._block_buffer, block)
+            row["origins"][: layer.grid.level_count, :2] = np.array(self._origins[i])[:, ::-1]
+        return result.tobytes()
 
 
 def build_tables(
@@ -477,18 +538,31 @@ def _table_bits(layer: LayerGrid, load_distance: float) -> int:
     return math.ceil(math.log2(min(max(layer.nodes(0)), 2 * load_distance * layer.stretch + 8)))
 
 
-def _origins(layer: LayerGrid, bits: int, centre: NDArray[np.float64]) -> list[tuple[int, int]]:
+def _half_nodes(layer: LayerGrid, centre: Sequence[float]) -> tuple[int, int]:
+    """Half nodes of level 0 before a place in texels (column, row): all that windows around it depend on."""
+    x, y = (math.floor(min(max(at, -1e15), 1e15) * 2 / layer.node_size) for at in centre)
+    return x, y
+
+
+def _origins(layer: LayerGrid, bits: int, centre: Sequence[float]) -> list[tuple[int, int]]:
     """First node (row, column) of each level's window around a centre in texels (column, row), kept over the data."""
     side = 1 << bits
     origins = []
-    x, y = (min(max(float(at), -1e15), 1e15) for at in centre)
+    x, y = _half_nodes(layer, centre)
     for level in range(layer.level_count):
-        width = layer.node_size << level
         rows, cols = layer.nodes(level)
-        first_row, first_col = round(y / width) - side // 2, round(x / width) - side // 2
+        # to the nearest whole node, in half nodes of level 0
+        nearest_row, nearest_col = (y + (1 << level)) >> level + 1, (x + (1 << level)) >> level + 1
+        first_row, first_col = nearest_row - side // 2, nearest_col - side // 2
         origins.append((max(0, min(first_row, rows - side)), max(0, min(first_col, cols - side))))
     return origins
 
 
-def _lod_texel(frame: Frame, grid: Grid) -> NDArray[np.float64]:
-    return np.array(grid.texel_of(frame.camera.x, frame.camera.y)) + grid.texels @ frame.lod_eye()[:2]
+def _lod_texel(frame: Frame, grid: Grid) -> tuple[float, float]:
+    """Where distances for the level of detail start, in texels (column, row) of a grid."""
+    x, y = frame.eye_texel if grid is frame.grid else grid.texel_of(frame.camera.x, frame.camera.y)
+    east, north, _ = frame.lod_place
+    if (east, north) == (0.0, 0.0):
+        return x, y
+    (a, b), (c, d) = grid.texels.tolist()
+    return x + a * east + b * north, y + c * east + d * north

@@ -1,12 +1,16 @@
 #include frame.wgsl
+#include heightformat.wgsl
+#include maxima_layout.wgsl
 // The chunked clipmap (Kuehnert 2022, section 4.5): clipped quadtrees that find the best resident node of a position,
 // and the node atlas that holds their texels. Heights are interpolated here from single texels: hardware filters weigh
 // with 8 bits.
 
 const NODE_BITS = #{NODE_BITS}u;       // nodes are 2^NODE_BITS texels wide (center_size)
+const COVERED = #{COVERED};             // every texel is valid
 const HEIGHT_BORDER = #{HEIGHT_BORDER};    // border_size of heights and coverage
 const COLOR_BORDER = f32(#{COLOR_BORDER});
 const MAX_ANISOTROPY = f32(#{MAX_ANISOTROPY});
+const HEIGHT_SIZE = f32((1i << NODE_BITS) + 2 * HEIGHT_BORDER);
 const COLOR_SIZE = f32(1u << NODE_BITS) + 2.0 * COLOR_BORDER;
 const HEIGHTS = 0u;                 // index of a layer in `clipmap.layers`
 const COLORS = 1u;
@@ -38,11 +42,12 @@ struct SlotBounds { low: f32, high: f32, error: f32, level: f32 }
 @group(0) @binding(2) var<storage, read> node_table: array<u32>;          // slot | level << 16
 @group(0) @binding(3) var<storage, read> node_bounds: array<vec2<f32>>;   // lowest and highest drawn height, per table entry
 @group(0) @binding(4) var<storage, read> slot_bounds: array<SlotBounds>;
-@group(0) @binding(5) var height_atlas: texture_2d_array<f32>;
+@group(0) @binding(5) var height_atlas: texture_2d_array<HeightTexel>;
 @group(0) @binding(6) var coverage_atlas: texture_2d_array<f32>;
 @group(0) @binding(7) var maxima_atlas: texture_2d_array<f32>;
 @group(0) @binding(8) var color_atlas: texture_2d_array<f32>;
 @group(0) @binding(9) var color_sampler: sampler;
+@group(0) @binding(10) var texel_sampler: sampler;   // nearest: for gathers
 
 struct Node {
     slot: u32,
@@ -52,6 +57,10 @@ struct Node {
 }
 
 struct Blend { level: u32, ratio: f32 }
+
+// Levels that a blend needs. Asked of a loop, never of a branch: software drivers run both sides of every branch, but end
+// a loop when no lane needs another turn.
+fn levels_of(blend: Blend) -> u32 { return select(2u, 1u, blend.ratio >= 1.0); }
 
 // 2^-n, exactly (exp2 may round).
 fn inverse_power(n: u32) -> f32 { return bitcast<f32>((127u - n) << 23u); }
@@ -113,7 +122,18 @@ fn texel_of(p: Point, node: Node, subtexel_bits: u32) -> Texel {
 }
 
 fn height_texel(slot: u32, at: vec2<i32>) -> f32 {
-    return textureLoad(height_atlas, at + HEIGHT_BORDER, i32(slot), 0).x;
+    return height_of(textureLoad(height_atlas, at + HEIGHT_BORDER, i32(slot), 0).x);
+}
+
+// An entry of a node's maximum pyramid.
+fn maximum_texel(slot: u32, level: u32, entry: vec2<i32>) -> f32 {
+    return textureLoad(maxima_atlas, maxima_place(level, entry), i32(slot), 0).x;
+}
+
+// The texels at `at`, right of it, below it, and diagonally: one gather, aimed at the corner that they share.
+fn height_quad(slot: u32, at: vec2<i32>) -> vec4<f32> {
+    let corner = (vec2<f32>(at + HEIGHT_BORDER) + 1.0) / HEIGHT_SIZE;
+    return heights_of(textureGather(0, height_atlas, texel_sampler, corner, i32(slot)).wzxy);
 }
 
 fn bilinear(h00: f32, h10: f32, h01: f32, h11: f32, way: vec2<f32>) -> f32 {
@@ -124,9 +144,8 @@ fn bilinear(h00: f32, h10: f32, h01: f32, h11: f32, way: vec2<f32>) -> f32 {
 
 fn node_height(p: Point, node: Node) -> f32 {
     let t = texel_of(p, node, frame.subtexel_bits);
-    let h = bilinear(
-        height_texel(node.slot, t.at), height_texel(node.slot, t.at + vec2<i32>(1, 0)),
-        height_texel(node.slot, t.at + vec2<i32>(0, 1)), height_texel(node.slot, t.at + vec2<i32>(1, 1)), t.way);
+    let texels = height_quad(node.slot, t.at);
+    let h = bilinear(texels.x, texels.y, texels.z, texels.w, t.way);
     return clamp(h, frame.height_min, frame.height_max);
 }
 
@@ -141,10 +160,12 @@ fn resident_level(p: Point, level: u32) -> u32 {
 // Height in metres of the data, blended between two levels near the end of a level's range (section 4.5.5).
 fn height_at(p: Point) -> f32 {
     let blend = blend_at(HEIGHTS, flat_position(p));
-    let fine = height_at_level(p, blend.level);
-    if (blend.ratio >= 1.0) { return fine; }
-    let coarse = height_at_level(p, blend.level + 1u);
-    return coarse + (fine - coarse) * blend.ratio;
+    var height = 0.0;
+    for (var k = 0u; k < levels_of(blend); k += 1u) {
+        let next = height_at_level(p, blend.level + k);
+        height = next + (height - next) * select(0.0, blend.ratio, k > 0u);
+    }
+    return height;
 }
 
 // Stored bound (metres of the data) on the distance between the nodes that height_at uses and the level-0 surface.
@@ -169,26 +190,26 @@ fn node_coverage(p: Point, node: Node) -> f32 {
 // 1 where the data is valid, 0 where it is not, in between at the border: drawn from one half on.
 fn coverage_at(p: Point) -> f32 {
     if (clipmap.layers[HEIGHTS].present == 0u) { return 0.0; }
-    if (clipmap.layers[HEIGHTS].covered == 1u) { return 1.0; }
+    if (COVERED) { return 1.0; }
     let blend = blend_at(HEIGHTS, flat_position(p));
-    let fine = node_coverage(p, lookup(HEIGHTS, p.cell, blend.level));
-    if (blend.ratio >= 1.0) { return fine; }
-    let coarse = node_coverage(p, lookup(HEIGHTS, p.cell, blend.level + 1u));
-    return coarse + (fine - coarse) * blend.ratio;
+    var cover = 0.0;
+    for (var k = 0u; k < levels_of(blend); k += 1u) {
+        let next = node_coverage(p, lookup(HEIGHTS, p.cell, blend.level + k));
+        cover = next + (cover - next) * select(0.0, blend.ratio, k > 0u);
+    }
+    return cover;
 }
 
 // Slope of one node in metres per texel of its level: central differences over two texels.
 fn node_slope(p: Point, node: Node) -> vec2<f32> {
     let t = texel_of(p, node, frame.subtexel_bits);
-    var rows: array<vec4<f32>, 4>;
-    for (var j = 0; j < 4; j += 1) {
-        let at = t.at + vec2<i32>(-1, j - 1);
-        rows[j] = vec4<f32>(height_texel(node.slot, at), height_texel(node.slot, at + vec2<i32>(1, 0)),
-                            height_texel(node.slot, at + vec2<i32>(2, 0)), height_texel(node.slot, at + vec2<i32>(3, 0)));
-    }
-    let upper = mix(rows[0].yz, rows[1].yz, t.way.y);
-    let lower = mix(rows[2].yz, rows[3].yz, t.way.y);
-    let middle = mix(rows[1], rows[2], t.way.y);
+    let a = height_quad(node.slot, t.at - 1);
+    let b = height_quad(node.slot, t.at + vec2<i32>(1, -1));
+    let c = height_quad(node.slot, t.at + vec2<i32>(-1, 1));
+    let d = height_quad(node.slot, t.at + 1);
+    let upper = mix(vec2<f32>(a.y, b.x), vec2<f32>(a.w, b.z), t.way.y);
+    let lower = mix(vec2<f32>(c.y, d.x), vec2<f32>(c.w, d.z), t.way.y);
+    let middle = mix(vec4<f32>(a.zw, b.zw), vec4<f32>(c.xy, d.xy), t.way.y);
     let along_x = mix(middle.z - middle.x, middle.w - middle.y, t.way.x);
     let along_y = mix(lower.x - upper.x, lower.y - upper.y, t.way.x);
     return vec2<f32>(along_x, along_y) * 0.5;
@@ -206,9 +227,12 @@ fn gradient_at(p: Point, lod: f32) -> vec2<f32> {
     let level = clamp(lod, 0.0, f32(clipmap.layers[HEIGHTS].level_count - 1u));
     let whole = floor(level);
     let ratio = clamp((1.0 - (level - whole)) / clipmap.layers[HEIGHTS].blend_range, 0.0, 1.0);
-    let fine = level_gradient(p, u32(whole));
-    if (ratio >= 1.0) { return fine; }
-    return mix(level_gradient(p, u32(whole) + 1u), fine, ratio);
+    let blend = Blend(u32(whole), ratio);
+    var gradient = vec2<f32>(0.0);
+    for (var k = 0u; k < levels_of(blend); k += 1u) {
+        gradient = mix(level_gradient(p, blend.level + k), gradient, select(0.0, ratio, k > 0u));
+    }
+    return gradient;
 }
 
 // Lowest and highest drawn height (metres of the data) over a rectangle of subtexels that is no wider than a node of
@@ -272,9 +296,10 @@ fn color_at(p: Point, footprint: mat2x2<f32>) -> vec4<f32> {
     let extent = clipmap.layers[COLORS].extent;
     if (any(q.cell < extent.xy) || any(q.cell >= extent.zw)) { return vec4<f32>(0.0); }
     let blend = blend_at(COLORS, flat_position(p));
-    var color = node_color(q, lookup(COLORS, q.cell, blend.level), m * footprint);
-    if (blend.ratio < 1.0) {
-        color = mix(node_color(q, lookup(COLORS, q.cell, blend.level + 1u), m * footprint), color, blend.ratio);
+    var color = vec4<f32>(0.0);
+    for (var k = 0u; k < levels_of(blend); k += 1u) {
+        let next = node_color(q, lookup(COLORS, q.cell, blend.level + k), m * footprint);
+        color = mix(next, color, select(0.0, blend.ratio, k > 0u));
     }
     // stored with the alpha multiplied in, so that what is transparent does not colour what is beside it
     return vec4<f32>(color.rgb / max(color.a, 1e-6), color.a);

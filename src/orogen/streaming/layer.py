@@ -12,7 +12,9 @@ from orogen.gpu import Gpu
 from orogen.keys import NodeKey
 from orogen.pyramid.contract import Pyramid
 from orogen.streaming.atlas import MaximaBuilder, NodeAtlas, color_attachments, height_attachments
+from orogen.streaming.bc7 import FEATURE
 from orogen.streaming.faults import Faults
+from orogen.streaming.heightformat import FLOATS, height_format
 from orogen.streaming.loader import Loader
 from orogen.streaming.ranges import NodeRanges
 from orogen.streaming.requests import LayerGrid
@@ -55,13 +57,15 @@ class Layer:
         self.is_height = pyramid.kind == "height"
         self.covered = pyramid.covered
         """Whether every texel is valid, so that no coverage is kept."""
+        self.format = height_format(pyramid, settings.height_bits) if self.is_height else FLOATS
+        """How heights are stored in the atlas."""
         attachments = (
-            height_attachments(settings.node_size, self.covered)
+            height_attachments(settings.node_size, self.covered, self.format)
             if self.is_height
-            else color_attachments(settings.node_size)
+            else color_attachments(settings.node_size, settings.color_compression == "auto" and FEATURE in gpu.features)
         )
         self.atlas = NodeAtlas(gpu, pyramid.kind, attachments, self.grid.node_count, memory, pyramid.level_count + 1)
-        self.maxima = MaximaBuilder(gpu, self.atlas, settings.node_bits) if self.is_height else None
+        self.maxima = MaximaBuilder(gpu, self.atlas, settings.node_bits, self.format) if self.is_height else None
         self.slots = np.zeros((self.atlas.capacity, 4), np.float32)
         """Per slot: lowest and highest texel, bound on the error (m), level."""
         side = settings.node_size // BLOCK if self.is_height else 0
@@ -98,7 +102,7 @@ class Layer:
     def _node(self, key: NodeKey, tiles: Tiles) -> HeightNode | ColorNode:
         size = self.grid.node_size
         if self.is_height:
-            return height_node(tiles, self.pyramid, key, size, self.covered)
+            return height_node(tiles, self.pyramid, key, size, self.covered, self.format)
         return color_node(tiles, self.pyramid, key, size)
 
     def want(self, keys: Sequence[NodeKey]) -> None:
@@ -147,7 +151,7 @@ class Layer:
                 self._estimates.add(key)
             if isinstance(node, HeightNode):
                 self._keep_ranges(slot, node.blocks)
-                self.slots[slot] = node.low, node.high, self._error(key), key.level
+                self.slots[slot] = node.low, node.high, self._error(key) + node.loss, key.level
                 self._seen = min(self._seen[0], node.low), max(self._seen[1], node.high)
         if fresh:
             self.version += 1
@@ -204,8 +208,8 @@ class Layer:
 
     @property
     def estimates(self) -> int:
-        """Resident nodes whose texels are estimates until the pyramid is built."""
-        return len(self._estimates & set(self.atlas.resident))
+        """Nodes of `current` whose texels are estimates until the pyramid is built."""
+        return len(self._estimates & self.current.keys())
 
     def wait(self, timeout: float | None = None) -> None:
         """Block until a node is loaded or nothing is left to load."""
@@ -216,7 +220,7 @@ class Layer:
         """Lowest and highest valid height (m); until the pyramid is built an estimate that covers all nodes seen."""
         low, high = self.pyramid.height_range
         if self.pyramid.exact:
-            return low, high
+            return self.format.around(low, high)
         return min(low, self._seen[0]), max(high, self._seen[1])
 
     @property
@@ -232,7 +236,7 @@ class Layer:
             low, high = self.height_range
             return np.full(rows.shape, low), np.full(rows.shape, high)
         found = self._ranges.over(level, rows, cols)
-        return found[..., 0], found[..., 1]
+        return self.format.around(found[..., 0], found[..., 1])
 
     def _error(self, key: NodeKey) -> float:
         if self._ranges is None:

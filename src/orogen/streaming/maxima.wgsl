@@ -3,12 +3,13 @@
 
 const HEIGHT_BORDER = #{HEIGHT_BORDER};
 
+#include heightformat.wgsl
+#include maxima_layout.wgsl
+
 @group(0) @binding(0) var<storage, read> slots: array<u32>;
-@group(0) @binding(1) var height_atlas: texture_2d_array<f32>;
+@group(0) @binding(1) var height_atlas: texture_2d_array<HeightTexel>;
 @group(0) @binding(2) var maxima_atlas: texture_storage_2d_array<r32float, read_write>;
 @group(0) @binding(3) var<uniform> level: u32;
-
-#include maxima_layout.wgsl
 
 @compute @workgroup_size(8, 8)
 fn build(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -22,7 +23,7 @@ fn build(@builtin(global_invocation_id) id: vec3<u32>) {
             for (var x = -1; x <= 1; x += 1) {
                 // the last block has one cell in the node: its far samples lie in the border
                 let sample = 2 * b + vec2<i32>(x, y) + HEIGHT_BORDER;
-                highest = max(highest, textureLoad(height_atlas, sample, slot, 0).x);
+                highest = max(highest, height_of(textureLoad(height_atlas, sample, slot, 0).x));
             }
         }
     } else {
@@ -30,9 +31,9 @@ fn build(@builtin(global_invocation_id) id: vec3<u32>) {
         for (var y = 0; y <= 1; y += 1) {
             for (var x = 0; x <= 1; x += 1) {
                 let child = min(2 * b + vec2<i32>(x, y), last);
-                highest = max(highest, textureLoad(maxima_atlas, maxima_texel(level - 1u, child), slot).x);
+                highest = max(highest, textureLoad(maxima_atlas, maxima_place(level - 1u, child), slot).x);
             }
         }
     }
-    textureStore(maxima_atlas, maxima_texel(level, b), slot, vec4<f32>(highest));
+    textureStore(maxima_atlas, maxima_place(level, b), slot, vec4<f32>(highest));
 }

@@ -2,7 +2,7 @@
 // right; level k has NODE_SIZE / 2^k + 1 entries a side.
 const NODE_SIZE = 1u << #{NODE_BITS}u;
 
-fn maxima_texel(level: u32, entry: vec2<i32>) -> vec2<i32> {
+fn maxima_place(level: u32, entry: vec2<i32>) -> vec2<i32> {
     if (level == 1u) { return entry; }
     let column = NODE_SIZE / 2u + 1u;
     let row = NODE_SIZE / 2u - (NODE_SIZE >> (level - 1u)) + level - 2u;

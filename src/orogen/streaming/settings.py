@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from orogen.errors import SettingsError
 from orogen.frame import REFERENCE_FOV
@@ -37,6 +38,12 @@ class ClipmapSettings:
     """Share of a level's range in which it is blended into the next coarser one, above 0 and at most 1."""
     node_size: int = 256
     """Texels along a node's side without its border (center_size): 256, 512 or 1024."""
+    height_bits: int | None = None
+    """Bits of a height in the node atlas, 16 or 32. None: 16 where the pyramid is built and the data are integers that
+    these hold without loss, else 32. With 16 other heights are rounded, to a step that the whole terrain shares."""
+    color_compression: Literal["auto", "off"] = "off"
+    """Whether an image's nodes are kept as BC7 blocks, a quarter of the bytes with some loss of colour: "auto" where
+    the GPU reads them, "off" not at all."""
     memory: int = 192 << 20
     """Bytes of GPU memory for the node atlas. A full atlas lowers detail."""
     host_memory: int = 64 << 20
@@ -59,6 +66,10 @@ class ClipmapSettings:
             raise SettingsError(f"blend_range: expected above 0 and at most 1, got {self.blend_range}")
         if self.node_size not in (256, 512, 1024):
             raise SettingsError(f"node_size: expected 256, 512 or 1024 texels, got {self.node_size}")
+        if self.height_bits not in (None, 16, 32):
+            raise SettingsError(f"height_bits: expected 16, 32 or none, got {self.height_bits}")
+        if self.color_compression not in ("auto", "off"):
+            raise SettingsError(f"color_compression: expected auto or off, got {self.color_compression!r}")
         for name in ("memory", "host_memory", "upload_budget"):
             value = getattr(self, name)
             if not isinstance(value, int) or value < 1 << 20:

@@ -19,6 +19,7 @@ from orogen.keys import NODE_SIZE as CHUNK
 from orogen.keys import NodeKey, level_shape
 from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.reduce import colour_means, filled
+from orogen.streaming.heightformat import FLOATS, HeightFormat
 from orogen.streaming.settings import COLOR_BORDER, COLOR_MIPS, HEIGHT_BORDER
 
 BLOCK = 16
@@ -156,16 +157,19 @@ class DecodedTiles:
 class HeightNode:
     """What the atlas stores of a node of the height layer."""
 
-    heights: NDArray[np.float32]
-    """(side, side) metres, side = node_size + 2 border; invalid texels are filled in."""
+    heights: NDArray[np.float32] | NDArray[np.uint16]
+    """(side, side) texels, side = node_size + 2 border, as the layer's `HeightFormat` stores heights; invalid ones are
+    filled in."""
     coverage: NDArray[np.uint8] | None
     """(side, side) the valid part of each texel, 0 to 255; None where the layer has no invalid texel."""
     low: float
-    """Lowest height of the texels, border included."""
+    """Lowest height (m) of the texels, border included."""
     high: float
-    """Highest height of the texels, border included."""
+    """Highest height (m) of the texels, border included."""
     blocks: NDArray[np.float32]
-    """(size / 16, size / 16, 2) lowest and highest height of blocks of texels and those around them."""
+    """(size / 16, size / 16, 2) lowest and highest height (m) of blocks of texels and those around them."""
+    loss: float = 0.0
+    """How far texels are from their heights at most (m)."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,9 @@ class ColorNode:
     """(side, side, 4) sRGB with the alpha multiplied in (in linear light) and alpha, then its halves."""
 
 
-def height_node(tiles: Tiles, pyramid: Pyramid, key: NodeKey, size: int, covered: bool) -> HeightNode:
+def height_node(
+    tiles: Tiles, pyramid: Pyramid, key: NodeKey, size: int, covered: bool, form: HeightFormat = FLOATS
+) -> HeightNode:
     """Read a node of `size` texels with its border; no coverage where the layer is `covered` everywhere.
 
     Raises what the pyramid raises.
@@ -191,7 +197,11 @@ def height_node(tiles: Tiles, pyramid: Pyramid, key: NodeKey, size: int, covered
         coverage = _placed(share, key, size, HEIGHT_BORDER, rows, cols, linear=False)
         heights = without_holes(tiles, pyramid, key.level, rows, cols, heights)
     heights = _placed(heights, key, size, HEIGHT_BORDER, rows, cols, linear=True)
-    return HeightNode(heights, coverage, float(heights.min()), float(heights.max()), _block_ranges(heights))
+    texels = form.encode(heights)
+    # bounds are those of what is drawn
+    drawn = form.decode(texels)
+    loss = 0.0 if form.bits == 32 else float(np.abs(drawn - heights).max())
+    return HeightNode(texels, coverage, float(drawn.min()), float(drawn.max()), _block_ranges(drawn), loss)
 
 
 def _block_ranges(heights: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -15,36 +15,37 @@ struct Hit {
     way: vec2<f32>,      // position in the cell that was hit, 0 to 1
 }
 
+const ANY_HIT = #{ANY_HIT};      // whether a ray hits anything is all that is asked
+const STAYS_ABOVE = COVERED && ANY_HIT;
+
 const UNKNOWN = 0;
 const ABOVE = 1;
 const BELOW = 2;
 const SHADOW_MARGIN = 0.05;   // texels: shading is smoother than the cells, which shadow one another where light grazes
 const STEPS = 1 << 17;   // more than cells on any path: ends rays that rounding has made endless
 
-// Height of a ray over the eye, in metres of the data: x + t y + t^2 z (the last from the earth's curvature).
-fn ray_height(ray: Ray) -> vec3<f32> {
+// Height of a ray over frame.eye_height, in metres of the data: x + t y + t^2 z (the last from the earth's curvature); w:
+// the t of its lowest point, far away where it has none.
+fn ray_height(ray: Ray) -> vec4<f32> {
     let o = ray.origin;
     let d = ray.direction;
-    return vec3<f32>(
+    let z = vec3<f32>(
         o.z + frame.curvature * dot(o.xy, o.xy),
         d.z + 2.0 * frame.curvature * dot(o.xy, d.xy),
-        frame.curvature * dot(d.xy, d.xy)) / frame.exaggeration;
+        frame.curvature * dot(d.xy, d.xy)) / frame.exaggeration + vec3<f32>(frame.eye_rest, 0.0, 0.0);
+    let bottom = select(select(-1e30, 1e30, z.y < 0.0), -0.5 * z.y / z.z, z.z > 0.0);
+    return vec4<f32>(z, bottom);
 }
 
-fn height_on(z: vec3<f32>, t: f32) -> f32 { return z.x + t * (z.y + t * z.z); }
+fn height_on(z: vec4<f32>, t: f32) -> f32 { return z.x + t * (z.y + t * z.z); }
 
 // Lowest height of the ray between two parameters: the parabola is convex.
-fn lowest_on(z: vec3<f32>, a: f32, b: f32) -> f32 {
-    var low = min(height_on(z, a), height_on(z, b));
-    if (z.z > 0.0) {
-        let bottom = -0.5 * z.y / z.z;
-        if (bottom > a && bottom < b) { low = height_on(z, bottom); }
-    }
-    return low;
+fn lowest_on(z: vec4<f32>, a: f32, b: f32) -> f32 {
+    return height_on(z, clamp(z.w, a, b));
 }
 
 // Highest height of the ray between two parameters.
-fn highest_on(z: vec3<f32>, a: f32, b: f32) -> f32 { return max(height_on(z, a), height_on(z, b)); }
+fn highest_on(z: vec4<f32>, a: f32, b: f32) -> f32 { return max(height_on(z, a), height_on(z, b)); }
 
 // The level whose node around the cell the traversal uses: a node is split while its nearest point is in reach of finer
 // data, so that all rays agree.
@@ -82,7 +83,7 @@ fn over_extent(o: vec2<f32>, d: vec2<f32>, from_t: f32, to_t: f32) -> vec2<f32> 
 }
 
 // Part of the ray that is not above the highest sample, x > y if none.
-fn under_ceiling(z: vec3<f32>, span: vec2<f32>) -> vec2<f32> {
+fn under_ceiling(z: vec4<f32>, span: vec2<f32>) -> vec2<f32> {
     let ceiling = frame.height_max - frame.eye_height;
     // raised by more than the rounding of a ray's height
     let c = z.x - ceiling - 2e-6 * (abs(z.x) + abs(ceiling));
@@ -162,7 +163,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
         let node_end = clamp(min(node_exits.x, node_exits.y), t, span.y);
 
         let above = side != BELOW && lowest_on(z, t, node_end) > bounds.high - frame.eye_height;
-        let under = side != ABOVE && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
+        let under = !STAYS_ABOVE && side != ABOVE && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
         if (node.slot == NO_SLOT || above) {
             side = ABOVE;
         } else if (under) {
@@ -174,7 +175,9 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
             var c = ((cell + half) >> vec2<u32>(shift)) - first;
             let scale = inverse_power(shift);
             let path = path_of(o, d, vec2<f32>((first << vec2<u32>(shift)) - half - frame.anchor), shift);
-            var k = select(select(7u, 2u, !from_below && t == from_t), 0u, side == BELOW);
+            // a ray that starts on the ground, or is under it, meets cells next; others start at coarse blocks
+            let low = (!from_below && t == from_t) || (!STAYS_ABOVE && side == BELOW);
+            var k = select(7u, 0u, low);
             var way_out: Crossing;
             loop {
                 // over blocks that the ray clears, down to the next cell that it may meet: a loop of its own, so that
@@ -183,8 +186,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     steps += 1;
                     way_out = crossing_of(c, k, path);
                     if (k == 0u || steps > STEPS) { break; }
-                    let entry = maxima_texel(k, c >> vec2<u32>(k));
-                    let highest = textureLoad(maxima_atlas, entry, i32(node.slot), 0).x;
+                    let highest = maximum_texel(node.slot, k, c >> vec2<u32>(k));
                     if (lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
                         k -= 1u;
                         continue;
@@ -194,27 +196,38 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     if (way_out.t >= node_end) { break; }
                     let before = c;
                     c = next_cell(c, k, way_out, t, path);
-                    if (k < NODE_BITS && ((before[way_out.axis] ^ c[way_out.axis]) >> (k + 1u)) != 0) { k += 1u; }
+                    if (k < NODE_BITS && (((before.x ^ c.x) | (before.y ^ c.y)) >> (k + 1u)) != 0) { k += 1u; }
                 }
                 if (steps > STEPS) { return miss; }
                 if (k > 0u) { break; }
                 let end = clamp(way_out.t, t, node_end);
 
                 // the cell between samples c - 1 and c
-                let h00 = height_texel(node.slot, c - 1);
-                let h10 = height_texel(node.slot, c + vec2<i32>(0, -1));
-                let h01 = height_texel(node.slot, c + vec2<i32>(-1, 0));
-                let h11 = height_texel(node.slot, c);
+                let h = height_quad(node.slot, c - 1);
                 let corner = ((first + c) << vec2<u32>(shift)) - half - frame.anchor;
                 let way = clamp((o + t * d - vec2<f32>(corner)) * scale, vec2<f32>(0.0), vec2<f32>(1.0));
                 let step = d * scale;
-                let across = h10 - h00;
-                let along = h01 - h00;
-                let twist = h11 - h10 - along;
+                let across = h.y - h.x;
+                let along = h.z - h.x;
+                let twist = h.w - h.y - along;
                 // height over the surface as a polynomial of the way from t
-                let f0 = height_on(z, t) - ((h00 - frame.eye_height) + across * way.x + along * way.y + twist * way.x * way.y);
+                let f0 = height_on(z, t) - ((h.x - frame.eye_height) + across * way.x + along * way.y + twist * way.x * way.y);
                 let f1 = z.y + 2.0 * z.z * t - (across * step.x + along * step.y + twist * (way.x * step.y + way.y * step.x));
                 let f2 = z.z - twist * step.x * step.y;
+                if (STAYS_ABOVE) {
+                    // whether the parabola comes under zero: at an end, or between
+                    let length = end - t;
+                    let dips = f2 > 0.0 && f1 < 0.0 && -f1 < 2.0 * f2 * length && f1 * f1 >= 4.0 * f2 * f0;
+                    if (f0 <= 0.0 || f0 + length * (f1 + length * f2) < 0.0 || dips) {
+                        return Hit(true, t, node.level, node.cell, way);
+                    }
+                    t = end;
+                    if (way_out.t >= node_end) { break; }
+                    let before = c;
+                    c = next_cell(c, 0u, way_out, t, path);
+                    if ((((before.x ^ c.x) | (before.y ^ c.y)) >> 1u) != 0) { k = 1u; }
+                    continue;
+                }
                 if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
                 let crossing = first_crossing(f0, f1, f2, end - t, side == BELOW);
                 if (crossing >= 0.0) {
@@ -240,7 +253,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                 if (way_out.t >= node_end || dives) { break; }
                 let before = c;
                 c = next_cell(c, 0u, way_out, t, path);
-                if (side != BELOW && ((before[way_out.axis] ^ c[way_out.axis]) >> 1u) != 0) { k = 1u; }
+                if (side != BELOW && (((before.x ^ c.x) | (before.y ^ c.y)) >> 1u) != 0) { k = 1u; }
             }
         }
         t = node_end;
@@ -281,7 +294,7 @@ fn first_crossing(f0: f32, f1: f32, f2: f32, length: f32, rising: bool) -> f32 {
 
 // Coverage of the corners of the cell between samples c - 1 and c.
 fn cell_coverage(slot: u32, c: vec2<i32>) -> vec4<f32> {
-    if (clipmap.layers[HEIGHTS].covered == 1u) { return vec4<f32>(1.0); }
+    if (COVERED) { return vec4<f32>(1.0); }
     let at = c + HEIGHT_BORDER;
     let layer = i32(slot);
     return vec4<f32>(

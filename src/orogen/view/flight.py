@@ -158,7 +158,7 @@ class Flight:
         else:
             try:
                 text = Path(name).read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
+            except (OSError, ValueError) as error:
                 known = ", ".join(builtin_flights())
                 reason = error.strerror if isinstance(error, OSError) else "not a text file"
                 raise SettingsError(

@@ -52,12 +52,16 @@ def frame_camera(
 
     Raises SettingsError, naming the option, for values that are not finite or out of range.
     """
+    for name, place, count in (("look_at", look_at, 2), ("bounds", bounds, 4)):
+        if place is not None and np.shape(place) != (count,):
+            raise SettingsError(f"{name}: expected {count} numbers, got {place}")
     _check_finite(look_at=look_at, distance=distance, heading=heading, pitch=pitch, fov=fov, bounds=bounds)
     _check_finite(exaggeration=exaggeration, aspect=aspect, height_range=height_range)
     if distance is not None and distance <= 0:
         raise SettingsError(f"distance: expected more than 0 metres, got {distance:g}")
-    if exaggeration <= 0 or aspect <= 0:
-        raise SettingsError(f"expected exaggeration and aspect above 0, got {exaggeration:g} and {aspect:g}")
+    for name, factor in (("exaggeration", exaggeration), ("aspect", aspect)):
+        if factor <= 0:
+            raise SettingsError(f"{name}: expected more than 0, got {factor:g}")
     flat = _outline(grid, bounds)
     x, y = (float(v) for v in flat.mean(axis=0))
     camera = Camera(x, y, 0.0, heading=heading, pitch=pitch, fov=fov)
@@ -149,5 +153,9 @@ def _heights_within(
 
 def _check_finite(**options: object) -> None:
     for name, value in options.items():
-        if value is not None and not np.all(np.isfinite(np.asarray(value, np.float64))):
+        try:
+            good = value is None or bool(np.all(np.isfinite(np.asarray(value, np.float64))))
+        except (TypeError, ValueError):
+            good = False
+        if not good:
             raise SettingsError(f"{name}: expected finite numbers, got {value}")

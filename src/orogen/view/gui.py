@@ -166,7 +166,7 @@ def _style(imgui: Any) -> None:
     style.window_rounding = style.frame_rounding = style.grab_rounding = 4.0
     style.window_border_size = 0.0
     # dark and nearly opaque, so that text is readable over snow
-    style.set_color_(imgui.Col_.window_bg, (0.05, 0.06, 0.08, 0.97))
+    style.set_color_(imgui.Col_.window_bg, (0.05, 0.06, 0.08, 0.99))
     style.set_color_(imgui.Col_.popup_bg, (0.05, 0.06, 0.08, 0.99))
     style.set_color_(imgui.Col_.title_bg_active, (0.10, 0.14, 0.20, 1.0))
     style.set_color_(imgui.Col_.frame_bg, (0.13, 0.16, 0.21, 1.0))

@@ -33,6 +33,10 @@ class Sample:
     """Bytes of GPU memory."""
     scale: float = 1.0
     """Part of the window's width and height that the picture had."""
+    detail: float = 1.0
+    """Part of the algorithm's detail that its geometry had."""
+    samples: int = 1
+    """Samples per pixel that were added."""
 
 
 class History:

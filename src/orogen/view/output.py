@@ -17,6 +17,8 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str], overwrit
     another one, the folder is missing or not writable, or the file exists and `overwrite` is false.
     """
     path = Path(path)
+    if "\0" in str(path):
+        raise OutputError(f"{str(path)!r}: expected a file name, got one with a zero character")
     if path.suffix.lower() not in suffixes:
         got = repr(path.suffix) if path.suffix else "none"
         raise OutputError(f"{path}: expected the suffix {' or '.join(suffixes)}, got {got}")

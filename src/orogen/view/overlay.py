@@ -16,7 +16,7 @@ SCALE_WIDTH = 160.0
 """Greatest length of the scale bar in logical pixels."""
 WHITE, BLACK, YELLOW, CYAN = 0xFFFFFFFF, 0xB0000000, 0xFF35D9FF, 0xFFFFD84A
 """Colours as imgui packs them: alpha, blue, green, red."""
-SHADE = 0xD014100C
+SHADE = 0xE814100C
 """Behind text."""
 
 

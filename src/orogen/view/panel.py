@@ -17,7 +17,7 @@ from orogen.view.controls import Event
 from orogen.view.gui import Gui
 from orogen.view.keyframes import Keyframes
 from orogen.view.measure import Place, Profile, distance_text, place_text
-from orogen.view.player import Exporter, Player
+from orogen.view.player import Exporter, Player, VideoSettings
 from orogen.view.sections import draw_sections
 from orogen.view.tools import draw_profile
 from orogen.view.widgets import Widgets
@@ -59,6 +59,8 @@ class ViewPanel:
         self.bookmarks = Bookmarks(os.path.abspath(name) if os.path.exists(name) else name, kept=window.session.files)
         self.player: Player | None = None
         self.exporter: Exporter | None = None
+        self.video = VideoSettings()
+        """What videos of flights are like."""
         self.picture_size: tuple[int, int] | None = None
         """Width and height in pixels of pictures that are written; None: those of the window."""
         self.message = ""

@@ -47,6 +47,8 @@ class Scene:
     """Whether the ground drops with the distance as on a sphere of the earth's radius."""
     lod_camera: Camera | None = None
     """Camera that decides on levels of detail and culling; None: the one that looks."""
+    coarseness: float = 1.0
+    """Factor, at least 1, by which triangles may be larger than the algorithm's settings say."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class Renderer:
         self._targets: tuple[Surface, Samples] | None = None
         self._drawn = 0
         self._shown: tuple[Any, ...] = ()
+        self._changes = [0]  # how often what is resident has changed, whichever view saw to it: all share this list
         self._frame: Frame | None = None
         self._owns_clipmap = True
 
@@ -204,7 +207,7 @@ class Renderer:
 
         `size`: width and height in pixels. `samples`: samples per pixel, from 1 to 256.
         """
-        if not 1 <= samples <= 256:
+        if samples not in range(1, 257):
             raise SettingsError(f"samples: expected 1 to 256 per pixel, got {samples}")
         style = style or Style()
         frame = self._prepare(camera, size, scene or Scene())
@@ -236,14 +239,17 @@ class Renderer:
         """
         frames = [self.render(camera, size, style, scene).frame for camera in cameras]
         surface, light = self._targets_for(size)
+        self._changes[0] += 1
         result = []
         for last in range(len(frames)):
             for number in range(last + 1 - TOGETHER, last + 1):
                 light.reset()
                 # as in a window, where most frames are not timed
                 self.timer.enabled = number == last
+                # a copy: what a frame works out for itself counts
+                frame = replace(frames[max(number, 0)])
                 start = time.thread_time()
-                self._submit_sample(frames[max(number, 0)], surface, light, style or Style(), last=True)
+                self._submit_sample(frame, surface, light, style or Style(), last=True)
                 if number < last:
                     record_time = time.thread_time() - start
             result.append(Timing(self.timer.results(wait=True), record_time))
@@ -256,32 +262,40 @@ class Renderer:
         size: tuple[int, int],
         style: Style | None = None,
         scene: Scene | None = None,
+        *,
+        samples: int = 1,
     ) -> bool:
         """Draw into a texture without waiting for data: from what is resident, better the next time.
+
+        `samples`: how many a pixel are added at once, at most; a picture at rest gathers up to 16 by and by.
 
         True while a further call would improve the picture: data streams in, geometry is refined, or samples smooth it.
         """
         style = style or Style()
         frame = self._prepare(camera, size, scene or Scene())
-        self.view.want(frame)
+        self.view.want(frame, patient=True)
         self._want_more(frame)
-        uploaded = self.clipmap.pump()
+        uploaded = 0
+        if self.clipmap.pump():
+            self._changes[0] += 1
         if self.algorithm.pages:
-            uploaded += self.algorithm.pages.pump(self.clipmap.settings.upload_budget)
-        frame = self.view.frame_for(frame)
+            uploaded = self.algorithm.pages.pump(self.clipmap.settings.upload_budget)
+        # what was read meanwhile may lie higher or lower; the ground under the camera is where it was
+        if self.clipmap.height_range != frame.height_range:
+            frame = replace(frame, height_range=self.clipmap.height_range)
         surface, light = self._targets_for(size)
-        shown = (camera, size, style, scene, frame.height_range)
+        shown = (camera, size, style, scene, frame.height_range, self._changes[0])
         if uploaded or shown != self._shown or self._state.unfinished():
             light.reset()
             self._shown = shown
-        if light.count < STILL_SAMPLES:
-            self.timer.enabled = self._drawn % TIMED == 0
-            self._drawn += 1
+        self._drawn += 1
+        for number in range(min(samples, STILL_SAMPLES - light.count)):
+            self.timer.enabled = number == 0 and self._drawn % TIMED == 1
             self._submit_sample(_moved(frame, jitters(STILL_SAMPLES)[light.count]), surface, light, style)
         encoder = self.gpu.encoder("resolve")
         self.shading.resolve(encoder, self.timer, light, view, style)
         self.gpu.submit(encoder)
-        pending = self.clipmap.pending + (self.algorithm.pages.pending if self.algorithm.pages else 0)
+        pending = self.view.behind or self.clipmap.pending or (self.algorithm.pages and self.algorithm.pages.pending)
         return bool(pending) or light.count < STILL_SAMPLES or self._state.unfinished()
 
     def pick(self, column: int, row: int) -> tuple[float, float, float] | None:
@@ -315,7 +329,7 @@ class Renderer:
         return self.view.frame_for(
             Frame(
                 camera, self.clipmap.grid, size, scene.lod_camera,
-                exaggeration=scene.exaggeration, curvature=scene.curvature,
+                exaggeration=scene.exaggeration, curvature=scene.curvature, coarseness=scene.coarseness,
             )
         )  # fmt: skip
 
@@ -324,6 +338,7 @@ class Renderer:
     ) -> tuple[Readback, float]:
         """Draw all samples; gives the depth at the pixel centres and the seconds that the last one took to record."""
         light.reset()
+        self._changes[0] += 1  # of what is resident, and the last sample is not kept: windows begin anew
         self.timer.enabled = True
         depth: Readback | None = None
         record_time = 0.0
@@ -340,8 +355,9 @@ class Renderer:
         return sum([self._state.incomplete(), self.rasterizer.incomplete()]) > 0
 
     def _want_more(self, frame: Frame) -> None:
-        known = set(self.view.wishes[0])
-        self.view.wishes[0] = [*self.view.wishes[0], *(key for key in self._state.wants(frame) if key not in known)]
+        if more := self._state.wants(frame):
+            known = set(self.view.wishes[0])
+            self.view.wishes[0] = [*self.view.wishes[0], *(key for key in more if key not in known)]
 
     def _submit_sample(
         self, frame: Frame, surface: Surface, light: Samples, style: Style, *, last: bool = False

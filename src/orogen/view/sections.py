@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from orogen.view.panel import ViewPanel
 
 MOVEMENTS = {"around": OrbitControls, "fly": FlyControls, "walk": WalkControls}
-GRAPH_HEIGHT = 96.0
+GRAPH_HEIGHT, LINE_HEIGHT = 96.0, 18.0
 
 
 def draw_sections(panel: ViewPanel) -> None:
@@ -202,14 +202,14 @@ def _compare(panel: ViewPanel) -> None:
         def show(on: bool) -> None:
             session.difference = on
 
-        def limit(metres: float) -> None:
-            session.difference_limit = metres
-
         w.switch(
             "difference in height", session.difference, show,
             "Colours how much higher (red) or lower (blue) the right one is than the left one.",
         )  # fmt: skip
-        w.slider("strongest colour (m)", session.difference_limit, (0.01, 1000.0), limit, logarithmic=True)
+        w.slider(
+            "strongest colour (m)", session.difference_limit, (0.01, 1000.0), session.limit_difference,
+            "Difference in height that has the strongest colour.", logarithmic=True,
+        )  # fmt: skip
 
 
 def _speed(panel: ViewPanel) -> None:
@@ -226,12 +226,17 @@ def _speed(panel: ViewPanel) -> None:
         format="%.0f",
     )  # fmt: skip
     w.slider("coarsest picture", settings.coarsest, (0.25, 1.0), lambda c: put(coarsest=c), help["coarsest"])
+    w.slider(
+        "coarsest triangles", settings.coarsest_detail, (0.125, 1.0), lambda c: put(coarsest_detail=c),
+        help["coarsest_detail"],
+    )  # fmt: skip
     latest = session.history.latest
     if latest is None:
         return
     gpu = sum(latest.gpu.values())
     w.remark(
-        f"frame {latest.frame:.1f} ms, CPU {latest.cpu:.1f}, GPU {gpu:.1f}; picture {100 * latest.scale:.0f} %\n"
+        f"frame {latest.frame:.1f} ms, CPU {latest.cpu:.1f}, GPU {gpu:.1f}\n"
+        f"picture {100 * latest.scale:.0f} %, detail {100 * latest.detail:.0f} %, samples {latest.samples}\n"
         f"{latest.triangles:,} triangles, {latest.resident} nodes resident, {latest.queue} in the queue\n"
         f"{latest.memory / 2**20:.0f} MiB of GPU memory"
     )
@@ -250,7 +255,9 @@ def _graph(panel: ViewPanel, name: str, lines: Sequence[tuple[str, np.ndarray]])
     from imgui_bundle import implot
 
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_inputs | implot.Flags_.no_menus
-    if implot.begin_plot(f"##{name}", (-1.0, GRAPH_HEIGHT), flags):
+    # room for the names of all lines
+    height = GRAPH_HEIGHT + LINE_HEIGHT * max(0, len(lines) - 2)
+    if implot.begin_plot(f"##{name}", (-1.0, height), flags):
         axis = implot.AxisFlags_.auto_fit
         implot.setup_axes("", name, axis | implot.AxisFlags_.no_tick_labels, axis)
         implot.setup_legend(implot.Location_.north_west)

@@ -18,7 +18,7 @@ from orogen.view.history import History, Sample
 from orogen.view.measure import Ruler
 from orogen.view.opening import Data as Data
 from orogen.view.opening import Opening
-from orogen.view.quality import Quality, QualitySettings
+from orogen.view.quality import Quality, QualitySettings, geometry_share, least_detail
 from orogen.view.renderer import Renderer, Scene
 from orogen.view.split import Joiner
 from orogen.view.sun import parse_time, sun_position
@@ -167,17 +167,17 @@ class Session:
         """
         start = time.perf_counter()
         self._window = size
-        mode, form = self.mode, target.texture.format
+        mode, form, samples = self.mode, target.texture.format, self.quality.samples if moving else 1
         split = self.split_at(size[0]) if mode == "beside" else size[0]
-        own = self.quality.size((split, size[1]), moving)
+        own, scene = self.quality.size((split, size[1]), moving), self._scene_of(self.renderer, moving)
         if mode == "whole" and own == size:
-            more = self.renderer.draw_to(target, camera, size, self.style, self.scene)
+            more = self.renderer.draw_to(target, camera, size, self.style, scene, samples=samples)
         else:
             self._joiner = self._joiner or Joiner(self.renderer.gpu)
             place = self._joiner.picture(0, own, form)
-            more = self.renderer.draw_to(place, camera, own, self.style, self.scene)
+            more = self.renderer.draw_to(place, camera, own, self.style, scene, samples=samples)
             if self.second:
-                more |= self._draw_second(self.second, camera, beside, (size[0] - split, size[1]), own, form)
+                more |= self._draw_second(self.second, camera, beside, (size[0] - split, size[1]), own, form, moving)
             both = (self.renderer.shown, self.second.renderer.shown) if self.second else (None, None)
             self._joiner.join(
                 target, size, mode, divider=self.split_at(size[0]), line=max(1.0, size[1] / 720),
@@ -218,6 +218,12 @@ class Session:
     def freeze(self, camera: Camera | None) -> None:
         """Keep the levels of detail and the culling of a camera, to look at them from outside; None: let go."""
         self.scene = replace(self.scene, lod_camera=camera)
+
+    def limit_difference(self, metres: float) -> None:
+        """Change the difference in height (m) that the strongest colour stands for, from 0.001 to 100000."""
+        if not 0.001 <= metres <= 1e5:
+            raise SettingsError(f"strongest colour: expected 0.001 to 100000 m, got {metres:g}")
+        self.difference_limit = metres
 
     def sun_at(self, when: str | datetime) -> tuple[float, float]:
         """Azimuth from grid north and elevation (degrees) of the sun over the middle of the data at a time.
@@ -311,16 +317,20 @@ class Session:
         return Session(data, style, scene, quality=self.quality.settings, opener=self.opener, owned=True)
 
     def revive(self) -> bool:
-        """Go on with another device where this one was lost; whether it was. The first view is left alone then."""
+        """Go on with another device where this one was lost; whether it was."""
         try:
             self.renderer.gpu.check()
             return False
         except DeviceLostError:
-            self.alone()
+            second, self.second = self.second, None
+            if second:
+                second.renderer.close()
         self.data.revive()
         self.renderer = self.data.renderer
         self.renderer.use(self.algorithm, self.values)
         self._joiner = None
+        if second:
+            self._show_again(second)
         return True
 
     @property
@@ -347,6 +357,25 @@ class Session:
         self.alone()
         self.second = second
 
+    def _show_again(self, second: Second) -> None:
+        """Make a second view that went with its device anew; where it cannot be, the first one stays alone."""
+        lost = second.renderer.algorithm
+        try:
+            if second.data:
+                self.compare_data(second.data)
+            elif second.kind == "map":
+                self.show_map()
+            else:
+                self.compare(
+                    lost.name, {field.name: getattr(lost.settings, field.name) for field in fields(lost.settings)}
+                )
+        except OrogenError as error:
+            log.warning("the second view is closed: %s", error)
+            if second.data:
+                second.data.close()
+        if self.second:
+            self.second.label = second.label
+
     def _draw_second(
         self,
         second: Second,
@@ -355,6 +384,7 @@ class Session:
         room: tuple[int, int],
         own: tuple[int, int],
         form: str,
+        moving: bool,
     ) -> bool:
         assert self._joiner
         if second.kind == "map":
@@ -362,7 +392,14 @@ class Session:
             camera = beside or self.map_camera(room[0] / room[1])
             scene = replace(self.scene, lod_camera=None)
             return second.renderer.draw_to(self._joiner.picture(1, room, form), camera, room, self.style, scene)
-        return second.renderer.draw_to(self._joiner.picture(1, own, form), camera, own, self.style, self.scene)
+        scene = self._scene_of(second.renderer, moving)
+        place, samples = self._joiner.picture(1, own, form), self.quality.samples if moving else 1
+        return second.renderer.draw_to(place, camera, own, self.style, scene, samples=samples)
+
+    def _scene_of(self, renderer: Renderer, moving: bool) -> Scene:
+        """The scene, of fewer triangles where the frame time asks for it."""
+        detail = max(self.quality.detail, least_detail(renderer.algorithm)) if moving else 1.0
+        return replace(self.scene, coarseness=1 / detail)
 
     def _note(self, start: float, moving: bool) -> None:
         """Keep what the frame took, and let it decide on the next one's size."""
@@ -371,8 +408,12 @@ class Session:
         spent = 1000 * (now - start)
         interval = 1000 * (now - self._last) if self._last else spent
         self._last = now if moving else 0.0
+        detail, samples = 1.0, self.quality.samples if moving else 1
         if moving:
-            self.quality.took(interval, max(spent, sum(gpu.values())))
+            # of the samples one is timed
+            work, least = max(spent, samples * sum(gpu.values())), least_detail(self.renderer.algorithm)
+            detail = max(self.quality.detail, least)
+            self.quality.took(interval, work, geometry_share(gpu, work / samples), least)
         self._frames += 1
         if self._frames % STATISTICS_EVERY == 1:
             self._triangles = self.renderer.statistics().triangles
@@ -381,7 +422,8 @@ class Session:
             Sample(
                 frame=interval if moving else spent, cpu=spent, gpu=gpu, triangles=self._triangles,
                 resident=sum(len(layer.atlas.resident) for layer in layers), queue=self.renderer.clipmap.pending,
-                memory=self.renderer.gpu.memory.total, scale=self.quality.scale if moving else 1.0,
+                memory=self.renderer.gpu.memory.total, scale=self.quality.scale if moving else 1.0, detail=detail,
+                samples=samples,
             )
         )  # fmt: skip
 

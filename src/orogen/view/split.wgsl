@@ -50,9 +50,12 @@ fn point_at(depths: texture_2d<f32>, pixel: vec2<i32>, jitter: vec2<f32>, scale:
     return vec4<f32>((across + split.ray.forward.xyz) * (split.near / max(depth, 1e-30)), depth);
 }
 
-// The shorter of the two differences to the neighbours: the other one may leap over a silhouette.
+// The shorter of the two differences to the neighbours: the other one may leap over a silhouette. At the picture's edge
+// there is one neighbour; the difference to the other is nothing.
 fn shorter(a: vec3<f32>, b: vec3<f32>) -> vec3<f32> {
-    return select(b, a, dot(a, a) < dot(b, b));
+    let one = dot(a, a);
+    let other = dot(b, b);
+    return select(b, a, one > 0.0 && (one < other || other == 0.0));
 }
 
 // Height of the second surface over the first (m): the distance of its point from the first's tangent plane, upwards.

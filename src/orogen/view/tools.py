@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orogen.errors import SettingsError
 from orogen.view.flight import Flight
+from orogen.view.forms import docstrings
 from orogen.view.image import write_color
 from orogen.view.measure import distance_text
-from orogen.view.player import Exporter
-from orogen.view.widgets import number_of, two_numbers
+from orogen.view.player import Exporter, VideoSettings
+from orogen.view.video import QUALITIES
+from orogen.view.widgets import number_of, size_of
 
 if TYPE_CHECKING:
     from orogen.view.panel import ViewPanel
@@ -130,11 +132,20 @@ def draw_flight(panel: ViewPanel) -> None:
 
     def export(text: str) -> None:
         panel.exporter = Exporter(
-            session.renderer, panel.path(), os.path.expanduser(text.strip()), (1280, 720), 30.0, session.style,
-            session.scene,
-        )  # fmt: skip
+            session.renderer, panel.path(), os.path.expanduser(text.strip()), panel.video, session.style, session.scene
+        )
 
-    w.text("video", "", export, "Writes the flight as a video of 1280 x 720 pixels, 30 frames a second.", "flight.mp4")
+    def put(**changes: Any) -> None:
+        panel.video = replace(panel.video, **changes)
+
+    video, help = panel.video, docstrings(VideoSettings)
+    w.text(
+        "video size", f"{video.size[0]} x {video.size[1]}", lambda text: put(size=size_of(text, _most(panel))),
+        help["size"],
+    )  # fmt: skip
+    w.text("video rate (1/s)", f"{video.fps:g}", lambda text: put(fps=number_of(text)), help["fps"])
+    w.choice("video quality", video.quality, list(QUALITIES), lambda quality: put(quality=quality), help["quality"])
+    w.text("video", "", export, "Writes the flight as a video; .mp4 and .webm, or .mkv without loss.", "flight.mp4")
     if "Write video" in w.problems:
         w.problem(w.problems["Write video"])
 
@@ -147,11 +158,7 @@ def draw_picture(panel: ViewPanel) -> None:
     )
 
     def resize(text: str) -> None:
-        width, height = (round(v) for v in two_numbers(text.lower().replace("x", " ")))
-        most = session.renderer.gpu.limits["max-texture-dimension-2d"]
-        if not (1 <= width <= most and 1 <= height <= most):
-            raise SettingsError(f"size: expected 1 to {most} pixels on each side, got {width}x{height}")
-        panel.picture_size = width, height
+        panel.picture_size = size_of(text, _most(panel))
 
     def write(text: str) -> None:
         camera = panel.window.controls.camera
@@ -161,3 +168,8 @@ def draw_picture(panel: ViewPanel) -> None:
 
     w.text("size", f"{size[0]} x {size[1]}", resize, "Width and height in pixels of the picture that is written.")
     w.text("write to", "", write, "Writes what the camera sees, without the panel, as a PNG file.", "picture.png")
+
+
+def _most(panel: ViewPanel) -> int:
+    """Pixels that a side of a picture can have."""
+    return int(panel.window.session.renderer.gpu.limits["max-texture-dimension-2d"])

@@ -6,15 +6,17 @@ import contextlib
 import logging
 import math
 import os
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.errors import OutputError, SettingsError
+from orogen.values import expected_name
 from orogen.view.output import check_output, publish
 
 if TYPE_CHECKING:
@@ -33,24 +35,31 @@ class Encoder(NamedTuple):
     """Pixel format."""
     options: dict[str, str]
     """Options of the encoder, for visually lossless quality."""
+    coarser: Mapping[str, float] = MappingProxyType({})
+    """Those of them by which files get smaller, with what a step of QUALITIES is on their scale."""
 
 
 ENCODERS: dict[str, tuple[Encoder, ...]] = {
     ".mp4": (
-        Encoder("libx264", "yuv420p", {"crf": "17", "preset": "veryfast"}),
+        Encoder("libx264", "yuv420p", {"crf": "17", "preset": "veryfast"}, {"crf": 1.0}),
         Encoder("libopenh264", "yuv420p", {"rc_mode": "quality"}),
-        Encoder("libsvtav1", "yuv420p", {"crf": "24", "preset": "9"}),
-        Encoder("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}),
+        Encoder("libsvtav1", "yuv420p", {"crf": "24", "preset": "9"}, {"crf": 1.75}),
+        Encoder("mpeg4", "yuv420p", {"qmin": "2", "qmax": "4"}, {"qmin": 1.0, "qmax": 1.0}),
     ),
     ".mkv": (Encoder("ffv1", "bgr0", {"level": "3", "slicecrc": "1"}),),
     ".webm": (
-        Encoder("libvpx-vp9", "yuv420p", {"crf": "22", "b": "0", "deadline": "realtime", "cpu-used": "5"}),
-        Encoder("libsvtav1", "yuv420p", {"crf": "24", "preset": "9"}),
+        Encoder(
+            "libvpx-vp9", "yuv420p", {"crf": "22", "b": "0", "deadline": "realtime", "cpu-used": "5"}, {"crf": 1.75}
+        ),
+        Encoder("libsvtav1", "yuv420p", {"crf": "24", "preset": "9"}, {"crf": 1.75}),
     ),
 }
 """Encoders by suffix, the first that opens is used: .mp4 plays everywhere, .mkv is lossless."""
 
 VIDEO_SUFFIXES = tuple(ENCODERS)
+
+QUALITIES = {"high": 0, "medium": 6, "low": 12}
+"""Steps below visually lossless, of which six halve the bytes or so. .mkv has no loss."""
 
 BT709 = 1
 """ITU-T H.273 number of the matrix and of the primaries (those of sRGB too)."""
@@ -67,21 +76,30 @@ class VideoWriter:
         video.write(color)
 
     `size` is (width, height) in pixels; where the encoder needs even numbers, the last column or row is repeated.
-    Raises SettingsError for a bad size or rate, OutputError where the file cannot be written or PyAV is missing.
+    `quality` is one of QUALITIES. Raises SettingsError for a bad size, rate or quality, OutputError where the file
+    cannot be written or PyAV is missing.
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], size: tuple[int, int], fps: float = 30.0, overwrite: bool = False
+        self,
+        path: str | os.PathLike[str],
+        size: tuple[int, int],
+        fps: float = 30.0,
+        overwrite: bool = False,
+        *,
+        quality: str = "high",
     ) -> None:
         if min(size) < 1:
             raise SettingsError(f"size: expected at least 1x1 pixels, got {size[0]}x{size[1]}")
         if not (math.isfinite(fps) and 0 < fps <= 1000):
             raise SettingsError(f"fps: expected more than 0 and at most 1000 frames per second, got {fps:g}")
+        if quality not in QUALITIES:
+            raise expected_name("quality", quality, QUALITIES)
         self.path = check_output(path, VIDEO_SUFFIXES, overwrite)
         self.size = size
         self.fps = Fraction(fps).limit_denominator(1001)
         self.frames = 0
-        self._overwrite = overwrite
+        self._overwrite, self._quality = overwrite, quality
         _load_av()
 
     def __enter__(self) -> VideoWriter:
@@ -141,7 +159,8 @@ class VideoWriter:
             try:
                 options = {"movflags": "faststart"} if path.suffix.lower() == ".mp4" else {}
                 container = av.open(str(path), "w", options=options)
-                stream: Any = container.add_stream(encoder.codec, rate=self.fps, options=encoder.options)
+                own = options_of(encoder, self._quality)
+                stream: Any = container.add_stream(encoder.codec, rate=self.fps, options=own)
                 self._describe(stream, encoder)
                 stream.codec_context.open()
                 container.start_encoding()
@@ -163,6 +182,13 @@ class VideoWriter:
         context.color_primaries, context.color_trc = BT709, SRGB
         context.colorspace = RGB_MATRIX if rgb else BT709
         context.color_range = 2 if rgb else 1  # full (JPEG) or limited (MPEG)
+
+
+def options_of(encoder: Encoder, quality: str) -> dict[str, str]:
+    """An encoder's options for one of QUALITIES."""
+    steps = QUALITIES[quality]
+    coarser = {name: str(round(int(encoder.options[name]) + each * steps)) for name, each in encoder.coarser.items()}
+    return {**encoder.options, **coarser}
 
 
 @contextlib.contextmanager

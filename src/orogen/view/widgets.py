@@ -160,12 +160,20 @@ class Widgets:
         self.places[name] = (low.x + min(size.x / 4, 40.0), low.y + size.y / 2)
 
 
-def two_numbers(text: str) -> tuple[float, float]:
+def two_numbers(text: str, example: str = "301500, 2654000") -> tuple[float, float]:
     """Two numbers that a user typed; SettingsError where they are none."""
     parts = text.replace(",", " ").split()
     if len(parts) != 2:
-        raise SettingsError(f"expected two numbers such as 301500, 2654000, got {text!r}")
+        raise SettingsError(f"expected two numbers such as {example}, got {text!r}")
     return number_of(parts[0]), number_of(parts[1])
+
+
+def size_of(text: str, most: int) -> tuple[int, int]:
+    """Width and height that a user typed, such as 1920 x 1080; SettingsError where they are none, or above `most`."""
+    width, height = (round(v) for v in two_numbers(text.lower().replace("x", " "), "1920 x 1080"))
+    if not (1 <= width <= most and 1 <= height <= most):
+        raise SettingsError(f"size: expected 1 to {most} pixels on each side, got {width}x{height}")
+    return width, height
 
 
 def number_of(text: str) -> float:

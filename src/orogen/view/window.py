@@ -124,6 +124,11 @@ class Window:
             raise self._error
 
     @property
+    def moving(self) -> bool:
+        """Whether the camera, or that of the map, moves on by itself or by what is held."""
+        return self._last_draw is not None
+
+    @property
     def error(self) -> BaseException | None:
         """What went wrong while drawing, after which there are no more pictures."""
         return self._error

@@ -15,8 +15,8 @@ from orogen.frame import Frame
 from orogen.gpu import FrameTimer, Readback, Texture
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.farcry5.lattice import BLOCK, PATCHES, lattice
-from orogen.lod.farcry5.occlusion import DepthPyramid
 from orogen.lod.mesh import Mesh, grid_triangles
+from orogen.lod.occlusion import DepthPyramid, DepthReduction
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -76,7 +76,7 @@ class View(AlgorithmView):
         self._arguments = gpu.buffer("farcry5 arguments", _ARGUMENTS, "STORAGE|INDIRECT|COPY_SRC", "farcry5")
         self._arguments_group = gpu.bind("farcry5 arguments", algorithm.arguments_layout, {0: self._arguments})
         self._counts_group = gpu.bind("farcry5 counts", algorithm.counts_layout, {0: self._block, 1: self._state})
-        self._pyramid = DepthPyramid(gpu, algorithm.pyramid_layout, algorithm.reduce_surface, algorithm.reduce_cells)
+        self._pyramid = DepthPyramid(algorithm.depths)
         self._written = b""
         self._map_shape = (-1, -1)
         self._watch: tuple[int, Readback] | None = None
@@ -290,9 +290,7 @@ class FarCry5(Algorithm):
         self.storage_layout = gpu.layout("farcry5 lists", {0: uniform, 1: storage, 2: storage, 3: storage, 4: storage})
         self.measure_layout = gpu.layout("farcry5 boxes", {0: uniform, 1: storage, 2: storage, 3: storage})
         self.cull_layout = gpu.layout("farcry5 culling", {0: uniform, 1: storage, 2: storage, 3: storage, 4: read})
-        self.pyramid_layout = gpu.layout(
-            "farcry5 pyramid", {0: uniform, 1: ("COMPUTE", "texture unfilterable"), 2: storage}
-        )
+        self.depths = DepthReduction(clipmap, self.name)
         stages = "VERTEX|COMPUTE"
         vertex_layout = gpu.layout("farcry5 drawn", {0: (stages, "uniform"), 1: (stages, "read"), 2: (stages, "read")})
         constants = {"QUADS": quads, "NODE_QUADS_BITS": (PATCHES * quads).bit_length() - 1}
@@ -310,7 +308,7 @@ class FarCry5(Algorithm):
                 f"farcry5 {name}", FOLDER / f"{name}.wgsl", search=[FOLDER, *SEARCH],
                 constants={**clipmap.constants, **constants, **culls},
             )
-            for name in ("prepare", "refine", "patches", "measure", "cull", "build_pyramid")
+            for name in ("prepare", "refine", "patches", "measure", "cull")
         }  # fmt: skip
 
         def kernel(name: str, entry: str, *layouts: Any) -> Any:
@@ -328,8 +326,6 @@ class FarCry5(Algorithm):
         self.measure = kernel("measure", "measure_patches", self.measure_layout)
         self.cull = kernel("cull", "cull_patches", self.cull_layout)
         self.reveal = kernel("cull", "reveal_patches", self.cull_layout)
-        self.reduce_surface = kernel("build_pyramid", "reduce_surface", self.pyramid_layout)
-        self.reduce_cells = kernel("build_pyramid", "reduce_cells", self.pyramid_layout)
 
     def view(self) -> View:
         """State for one more view."""

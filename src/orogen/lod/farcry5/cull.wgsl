@@ -1,6 +1,6 @@
 #include farcry5.wgsl
 #include box.wgsl
-#include depth_pyramid.wgsl
+#include lod/depth_pyramid.wgsl
 // The patches to draw, one invocation a patch: first those that the depth of the frame before does not hide, then, when
 // these are drawn, those among the rest that they do not hide either.
 
@@ -46,7 +46,7 @@ fn cull_patches(@builtin(global_invocation_id) id: vec3<u32>) {
         let box = boxes[id.x];
         if (FRUSTUM && outside_frustum(box)) { return; }
         if (BACK_FACE && shows_only_undersides(box)) { return; }
-        if (OCCLUSION && farcry.history == 1u && is_hidden(box, farcry.to_history)) {
+        if (OCCLUSION && farcry.history == 1u && is_hidden(box.low, box.high, 1.0, farcry.to_history)) {
             lists[farcry.capacity - 1u - atomicAdd(&state.hidden, 1u)] = id.x;
             return;
         }
@@ -58,7 +58,7 @@ fn cull_patches(@builtin(global_invocation_id) id: vec3<u32>) {
 fn reveal_patches(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= atomicLoad(&state.hidden)) { return; }
     let number = lists[farcry.capacity - 1u - id.x];
-    if (!is_hidden(boxes[number], frame.view_projection)) {
+    if (!is_hidden(boxes[number].low, boxes[number].high, 1.0, frame.view_projection)) {
         lists[farcry.capacity + atomicAdd(&state.revealed, 1u)] = number;
     }
 }

@@ -84,7 +84,7 @@ class Settings:
         if not (self.detail_height >= 0 and math.isfinite(self.detail_height)):
             raise SettingsError(f"detail_height: expected 0 metres or more, got {self.detail_height}")
 
-    def cells(self, size: tuple[int, int]) -> tuple[int, int]:
+    def cells(self, size: tuple[float, float]) -> tuple[int, int]:
         """Columns and rows of cells for a picture of (width, height) pixels."""
         columns = self.columns or max(LEAST_CELLS, math.ceil(size[0] / self.pixels_per_column))
         return columns, self.rows or max(LEAST_CELLS, math.ceil(columns * self.rows_per_column))
@@ -147,7 +147,7 @@ class View(AlgorithmView):
         if region is None:
             self._statistics = Statistics()
             return []
-        columns, rows = cells = settings.cells(frame.size)
+        columns, rows = cells = settings.cells(frame.lod_size)
         self._make_room(cells)
         gpu.write(self._block, image_block(frame, cells))
         gpu.write(self._lattice, sketch_lattice(frame, region, settings.sketch_size, even=not settings.warping))

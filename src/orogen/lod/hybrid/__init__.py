@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,11 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Readback
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Rays, Statistics
 from orogen.lod.hybrid.choice import BLOCK, Costs, choice_block
-from orogen.lod.hybrid.tiles import FOLDER, TILE, Refinement, TileList
 from orogen.lod.mesh import Mesh, grid_triangles
+from orogen.lod.tiles import TILE, Refinement, TileList, check_tiles
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+
+FOLDER = Path(__file__).parent
 
 _COUNTS = np.dtype([(name, "u4") for name in ("tiles", "triangles", "rays", "steps")])
 _PIXELS = np.dtype([("entry", "u4"), ("rays", "u4")])
@@ -48,19 +51,12 @@ class Settings:
     """Tiles that there is room for at first; grows when a frame needs more."""
 
     def __post_init__(self) -> None:
-        if self.grid_size % 2 or not 2 <= self.grid_size <= 64:
-            raise SettingsError(f"grid_size: expected an even number from 2 to 64, got {self.grid_size}")
-        if not self.pixels_per_quad > 0:
-            raise SettingsError(f"pixels_per_quad: expected a number above 0, got {self.pixels_per_quad}")
+        check_tiles(self)
         for name in ("cost_triangle", "cost_step"):
             if not (getattr(self, name) >= 0 and math.isfinite(getattr(self, name))):
                 raise SettingsError(f"{name}: expected a number of 0 or more, got {getattr(self, name)}")
         if not self.cost_triangle + self.cost_step > 0:
             raise SettingsError("cost_triangle, cost_step: expected one of them above 0, got 0 for both")
-        if not 0 < self.morph_range < 0.5:
-            raise SettingsError(f"morph_range: expected above 0 and below 0.5, got {self.morph_range}")
-        if self.tile_capacity < 64:
-            raise SettingsError(f"tile_capacity: expected at least 64 tiles, got {self.tile_capacity}")
 
 
 class View(AlgorithmView):
@@ -180,7 +176,7 @@ class Hybrid(Algorithm):
         super().__init__(clipmap, settings)
         gpu = clipmap.gpu
         read, storage, uniform = ("COMPUTE", "read"), ("COMPUTE", "storage"), ("COMPUTE", "uniform")
-        self.refinement = Refinement(clipmap, settings)
+        self.refinement = Refinement(clipmap, self.name, settings, settings.pixels_per_quad)
         self.arguments_layout = gpu.layout("hybrid arguments", {0: storage, 1: storage})
         self.choose_layout = gpu.layout("hybrid choose", {0: uniform, 1: uniform, 2: read, 3: storage, 4: storage})
         self.mark_layout = gpu.layout("hybrid mark", {0: uniform, 1: read, 2: read, 3: storage})

@@ -1,4 +1,4 @@
-#include tiles.wgsl
+#include lod/tiles.wgsl
 #include counts.wgsl
 #include blocks.wgsl
 // Triangles or rays: what a tile costs either way (Dick, Krueger and Westermann 2010), as the LOD camera sees it.

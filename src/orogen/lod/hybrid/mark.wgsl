@@ -1,4 +1,4 @@
-#include tiles.wgsl
+#include lod/tiles.wgsl
 #include counts.wgsl
 #include blocks.wgsl
 #include frustum.wgsl
@@ -67,8 +67,7 @@ fn highest_in(cells: Cells) -> f32 {
     var highest = -1e30;
     for (var y = cells.first.y >> k; y <= cells.last.y >> k; y += 1) {
         for (var x = cells.first.x >> k; x <= cells.last.x >> k; x += 1) {
-            let entry = maxima_texel(k, vec2<i32>(x, y));
-            highest = max(highest, textureLoad(maxima_atlas, entry, i32(cells.node.slot), 0).x);
+            highest = max(highest, maximum_texel(cells.node.slot, k, vec2<i32>(x, y)));
         }
     }
     return highest;

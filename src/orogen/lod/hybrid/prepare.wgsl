@@ -1,4 +1,4 @@
-#include tiles.wgsl
+#include lod/tiles.wgsl
 #include counts.wgsl
 // Between the passes: arguments of what comes next.
 

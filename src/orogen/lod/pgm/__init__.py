@@ -100,7 +100,7 @@ class Settings:
         if not self.edge_distance >= 0:
             raise SettingsError(f"edge_distance: expected 0 texels or more, got {self.edge_distance}")
 
-    def cells(self, size: tuple[int, int]) -> tuple[int, int]:
+    def cells(self, size: tuple[float, float]) -> tuple[int, int]:
         """Columns and rows of cells for a picture of (width, height) pixels."""
         columns = self.columns or max(LEAST_CELLS, math.ceil(size[0] / self.pixels_per_column))
         return columns, self.rows or max(LEAST_CELLS, math.ceil(columns * self.rows_per_column))
@@ -147,7 +147,7 @@ class View(AlgorithmView):
         algorithm = self._algorithm
         settings, gpu = algorithm.settings, algorithm.clipmap.gpu
         # before the first data has come there is nothing to draw
-        columns, rows = settings.cells(frame.size)
+        columns, rows = settings.cells(frame.lod_size)
         present = algorithm.clipmap.heights.present
         outline = find_outline(frame, settings.tailoring) if present else None
         if outline is None:
@@ -230,7 +230,7 @@ class Pgm(Algorithm):
 def grid_block(frame: Frame, settings: Settings, outline: Outline) -> NDArray[np.void]:
     """The uniform block of pgm.wgsl (0-dimensional)."""
     block = np.zeros((), _BLOCK)
-    columns, rows = settings.cells(frame.size)
+    columns, rows = settings.cells(frame.lod_size)
     ground = frame.ground_height * frame.exaggeration - frame.camera.z
     # a fraction of a texel over the ground is the ground: cells are small enough there
     altitude = max(abs(float(frame.lod_eye()[2]) - ground), frame.grid.spacing / 64)
@@ -240,7 +240,7 @@ def grid_block(frame: Frame, settings: Settings, outline: Outline) -> NDArray[np
     block["along"], block["ends"], block["depths"] = directions(frame)[0], outline.rows, outline.depths
     block["slopes"], block["stretch"] = outline.columns, [math.asinh(s / altitude) for s in outline.rows]
     block["altitude"] = altitude
-    block["cell_angle"] = frame.size[0] / columns / frame.pixels_per_radian(frame.lod)
+    block["cell_angle"] = frame.lod_size[0] / columns / frame.pixels_per_radian(frame.lod)
     block["edge_reach"] = settings.edge_distance * frame.grid.spacing
     block["borders"][: len(outline.left), 0], block["borders"][: len(outline.right), 1] = outline.left, outline.right
     return block

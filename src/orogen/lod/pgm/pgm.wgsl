@@ -13,7 +13,6 @@ const DIAMOND = TESSELLATION == 2u;
 const GUARD = 1e-4;                     // of the distance: by this the grid is wider than the outline, for rounding
 const IMAGE_COLUMNS = 8u;               // of the importance image (end of section 3.4)
 const IMAGE_ROWS = 256u;
-const IMAGE_STEPS = 8u;                 // log2 of its rows
 
 struct Pgm {
     columns: u32,               // cells along the grid's axes

@@ -93,7 +93,7 @@ def block(frame: Frame, settings: Settings, coarse: Coarse, capacity: int) -> np
     result["eye"], result["eye_height"] = eye, camera.z / frame.exaggeration
     result["margin"] = (0.0, pixel) if camera.orthographic else (pixel, 0.0)
     result["far"] = farthest(frame, eye)
-    result["depth_detail"], result["threshold"] = settings.depth_detail, settings.threshold
+    result["depth_detail"], result["threshold"] = settings.depth_detail, settings.threshold * frame.coarseness
     result["capacity"], result["finest"] = capacity, coarse.finest
     result["cell_bits"], result["cells"], result["last"] = coarse.cell_bits, coarse.cells, coarse.last
     return result

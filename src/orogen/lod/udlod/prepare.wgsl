@@ -1,4 +1,4 @@
-#include udlod.wgsl
+#include lod/tiles.wgsl
 // After the last level of refinement: the arguments of the draw.
 
 struct State { parents: u32, progress: u32, finals: u32 }
@@ -9,5 +9,5 @@ struct DrawArguments { indices: u32, instances: u32, first_index: u32, base_vert
 
 @compute @workgroup_size(1)
 fn prepare_draw() {
-    draw = DrawArguments(6u * udlod.grid_size * udlod.grid_size, state.finals, 0u, 0u, 0u);
+    draw = DrawArguments(6u * tiling.grid_size * tiling.grid_size, state.finals, 0u, 0u, 0u);
 }

@@ -40,6 +40,7 @@ class Client:
         self._lock = threading.Lock()
         self._events: deque[Event] = deque()
         self._picture: NDArray[np.uint8] | None = None
+        self._coarse: NDArray[np.uint8] | None = None  # the latest picture, where it has not been sent at its finest
         self._arrived = asyncio.Event()
         self._sent: dict[int, float | None] = {}
         self._count = 0
@@ -61,7 +62,18 @@ class Client:
 
     def show(self, picture: NDArray[np.uint8]) -> None:
         """Have a picture sent."""
-        self._picture = picture
+        with self._lock:
+            self._picture = picture
+        self._loop.call_soon_threadsafe(self._arrived.set)
+
+    def keep(self, picture: NDArray[np.uint8]) -> None:
+        """Have a picture sent as soon as the view rests; one that is shown by then takes its place."""
+        with self._lock:
+            if self._picture is not None:
+                self._picture = picture
+            else:
+                self._coarse = picture
+        # whoever waits without an end begins to count
         self._loop.call_soon_threadsafe(self._arrived.set)
 
     def fail(self, reason: str) -> None:
@@ -113,21 +125,20 @@ class Client:
             except TimeoutError:
                 if not (self.resting and not self._sent):
                     continue
-                picture, fineness, self._coarse = self._coarse, BEST, None
+                with self._lock:
+                    picture, fineness, self._coarse = self._coarse, BEST, None
             else:
                 self._arrived.clear()
                 if self._failed is not None:
                     raise SettingsError(self._failed)
-                picture, self._picture, fineness = self._picture, None, self.pace.fineness
-                self._coarse = picture
+                with self._lock:
+                    picture, self._picture, fineness = self._picture, None, self.pace.fineness
+                    self._coarse = picture if picture is not None else self._coarse
             if picture is not None:
                 self._count += 1
                 self._sent[self._count] = None
                 self._changed()
                 return self._count, picture, fineness
-
-    _coarse: NDArray[np.uint8] | None = None
-    """The latest picture, where it has been sent less finely than can be."""
 
     @property
     def alone(self) -> bool:

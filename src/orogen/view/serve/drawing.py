@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from orogen.camera import Camera
 from orogen.errors import BudgetError, DeviceLostError, OrogenError
 from orogen.grid import Grid
@@ -26,6 +29,11 @@ log = logging.getLogger("orogen")
 
 MOST_FPS = 60.0
 """Pictures a second for one page, at most."""
+CALM = 1.0
+"""Seconds after the last motion or event from which pictures are sent at their finest, even if more samples follow."""
+LEVELS, SHARE, STRIDE = 12, 0.01, 3
+"""Of 255 steps of colour, of all pixels: two pictures differ where more than that share differ by more than that; of
+rows and columns every third is looked at."""
 
 
 class Shared:
@@ -118,9 +126,17 @@ class DrawingQuality(Quality):
     cost = 0.0
     """Milliseconds that the latest picture took to draw and to read back."""
 
-    def took(self, interval: float, work: float) -> None:
+    def took(self, interval: float, work: float, geometry: float = 0.0, least_detail: float = 1.0) -> None:
         """Learn from a moving frame."""
-        super().took(max(work, self.cost), max(work, self.cost))
+        super().took(max(work, self.cost), max(work, self.cost), geometry, least_detail)
+
+
+def differs(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
+    """Whether two (height, width, 4) pictures differ so much that one sees it at once: not by smoother edges alone."""
+    if one.shape != other.shape:
+        return True
+    first, second = (picture[::STRIDE, ::STRIDE, :3].astype(np.int16) for picture in (one, other))
+    return bool((np.abs(first - second).max(axis=-1) > LEVELS).mean() > SHARE)
 
 
 class View:
@@ -143,18 +159,23 @@ class View:
         self._quality = session.quality = DrawingQuality()
         self._due = 0.0
         self._retry = float("inf")
+        self._answers = True  # whether the next picture answers what the page has said, however little it changes
+        self._seen: NDArray[np.uint8] | None = None  # the picture that was sent last
+        self._lively = 0.0  # when something last moved or was said
 
     def step(self, now: float) -> float:
         """Hear the page and draw for it where it is time; gives the time (s) of the next step, inf: on an event."""
         size = self.client.size
         if size and size != self._size:
-            self._size = size
+            self._size, self._answers = size, True
             self.canvas.resize(size.width, size.height, size.ratio)
-        self.canvas.take(self.client.take())
+        events = self.client.take()
+        self._answers = self._answers or bool(events)
+        self.canvas.take(events)
         if now >= self._retry:
             self.canvas.wanted = True
         if self.canvas.wanted:
-            self.client.resting = False
+            self.client.resting = self._calm
         if self.canvas.wanted and self.client.ready:
             if now < self._due:
                 return self._due
@@ -164,9 +185,9 @@ class View:
             self._quality.cost = 1000 * (time.perf_counter() - start)
             if self.window.error:
                 raise self.window.error
-            self.client.resting = not self.canvas.wanted
             if picture is not None:
-                self.client.show(picture)
+                self._hand_over(picture)
+            self.client.resting = self._calm or not self.canvas.wanted
             wait = self.window.session.retry_in
             self._retry = float("inf") if wait is None else time.monotonic() + max(wait, SHORTEST_REST)
         elif self.window.error:
@@ -174,6 +195,23 @@ class View:
         if self.canvas.wanted:
             return self._due if self.client.ready else float("inf")
         return self._retry
+
+    @property
+    def _calm(self) -> bool:
+        """Whether nothing has moved or been said for so long that the picture is worth its finest form."""
+        return not self._answers and time.monotonic() - self._lively > CALM
+
+    def _hand_over(self, picture: NDArray[np.uint8]) -> None:
+        """Send a picture that moves or answers; of those that only get finer what is seen to, and the last."""
+        panel, seen = self.window.panel, self._seen
+        lively = self._answers or self.window.moving or (panel is not None and panel.settling)
+        if lively:
+            self._lively = time.monotonic()
+        if lively or seen is None or (not self._calm and differs(picture, seen)):
+            self._answers, self._seen = False, picture
+            self.client.show(picture)
+        else:
+            self.client.keep(picture)
 
     def close(self) -> None:
         """Give everything back."""

@@ -12,7 +12,9 @@ struct Tiling {
     tile_capacity: u32,
     split_distance: f32,   // metres within which a tile of level 1 is split; twice that for level 2 and so on
     morph_range: f32,      // share of a level's range in which its vertices move to the next level's
-    padding: vec2<u32>,
+    history: u32,          // 1: there is a depth pyramid of the frame before
+    foreground: f32,       // metres beyond which tiles are put aside when there is none
+    to_history: mat4x4<f32>,   // camera-relative metres to the clip space of the frame before
 }
 
 struct Tile { x: u32, y: u32, level: u32 }

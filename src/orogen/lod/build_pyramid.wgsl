@@ -1,4 +1,4 @@
-#include pyramid_cells.wgsl
+#include lod/depth_cells.wgsl
 // The depth pyramid, one dispatch a level: reverse z, so that the farthest depth is the least; the sky's is 0.
 
 struct Level { level: u32 }

@@ -1,15 +1,19 @@
-"""The hierarchical depth that patches are tested against, and the frame that it was seen in."""
+"""The hierarchical depth that boxes are tested against, and the frame that it was seen in."""
 
 from __future__ import annotations
 
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.frame import Frame
-from orogen.gpu import Buffer, FrameTimer, Gpu, Texture
-from orogen.streaming.clipmap import ClipmapView
+from orogen.gpu import Buffer, FrameTimer, Texture
+from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+
+FOLDER = Path(__file__).parent
 
 STEP = 4
 """Cells of a level along the side of a cell of the next."""
@@ -18,19 +22,41 @@ _ALIGNMENT = 256
 _TILE = 8
 
 
-class DepthPyramid:
-    """Farthest depths over cells of 4, 16, 64 ... pixels a side."""
+class DepthReduction:
+    """Kernels that make depth pyramids, shared by all views."""
 
-    def __init__(self, gpu: Gpu, layout: Any, reduce_surface: Any, reduce_cells: Any) -> None:
-        """`layout`: that of bind group 1 of the two pipelines of build_pyramid.wgsl."""
-        self._gpu = gpu
-        self._layout = layout
-        self._pipelines = reduce_surface, reduce_cells
-        self._numbers = gpu.buffer("farcry5 levels", _level_numbers(), "UNIFORM", "farcry5")
+    def __init__(self, clipmap: Clipmap, name: str) -> None:
+        """`name`: of the algorithm."""
+        self.gpu = clipmap.gpu
+        self.name = name
+        self._clipmap = clipmap
+        self.layout = clipmap.gpu.layout(
+            f"{name} pyramid",
+            {0: ("COMPUTE", "uniform"), 1: ("COMPUTE", "texture unfilterable"), 2: ("COMPUTE", "storage")},
+        )
+
+    @cached_property
+    def pipelines(self) -> list[Any]:
+        """For level 1, and for the others; compiled when they are first used."""
+        gpu, name = self.gpu, self.name
+        shader = gpu.shader(
+            f"{name} pyramid", FOLDER / "build_pyramid.wgsl", search=SEARCH, constants=self._clipmap.constants
+        )
+        layouts = [self._clipmap.layout, self.layout]
+        return [gpu.compute(f"{name} {e}", shader, e, layouts) for e in ("reduce_surface", "reduce_cells")]
+
+
+class DepthPyramid:
+    """Farthest depths over cells of 4, 16, 64 ... pixels a side, of one view."""
+
+    def __init__(self, reduction: DepthReduction) -> None:
+        self._reduction = reduction
+        name = reduction.name
+        self._numbers = reduction.gpu.buffer(f"{name} levels", _level_numbers(), "UNIFORM", name)
         self._size = (0, 0)
         self._depth: Texture | None = None
         self._groups: list[Any] = []
-        self.cells: Buffer = gpu.buffer("farcry5 depth", 4, "STORAGE", "farcry5")
+        self.cells: Buffer = reduction.gpu.buffer(f"{name} depth", 4, "STORAGE", name)
         """float32 depths, level after level."""
         self.seen: Frame | None = None
         """The frame whose depths it holds; None before the first."""
@@ -42,17 +68,19 @@ class DepthPyramid:
         self._size = size
         self._depth = self.seen = None
         total = sum(width * height for width, height in _cells(size))
-        self.cells = self._gpu.buffer("farcry5 depth", 4 * total, "STORAGE", "farcry5")
+        name = self._reduction.name
+        self.cells = self._reduction.gpu.buffer(f"{name} depth", 4 * total, "STORAGE", name)
         return True
 
     def build(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView, depth: Texture) -> None:
         """Record the reduction of a surface's depths."""
+        reduction = self._reduction
         if depth is not self._depth:
             self._depth = depth
             self._groups = [
-                self._gpu.bind(
-                    "farcry5 pyramid",
-                    self._layout,
+                reduction.gpu.bind(
+                    f"{reduction.name} pyramid",
+                    reduction.layout,
                     {0: (self._numbers, _ALIGNMENT * level, 16), 1: depth, 2: self.cells},
                 )
                 for level in range(len(_cells(frame.size)))
@@ -60,7 +88,7 @@ class DepthPyramid:
         run = timer.compute_pass(encoder, "pyramid")
         run.set_bind_group(0, view.bind_group)
         for level, (group, (width, height)) in enumerate(zip(self._groups, _cells(frame.size), strict=True)):
-            run.set_pipeline(self._pipelines[level > 0])
+            run.set_pipeline(reduction.pipelines[level > 0])
             run.set_bind_group(1, group)
             run.dispatch_workgroups(-(-width // _TILE), -(-height // _TILE))
         run.end()
