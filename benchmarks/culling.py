@@ -1,4 +1,4 @@
-"""What leaving out hidden tiles gains udlod: tiles, triangles and milliseconds, with and without it.
+"""What leaving out hidden tiles gains udlod: tiles, triangles and milliseconds without it, with it, and by default.
 
 Usage: python benchmarks/culling.py [--pixels-per-quad 1] [--size 1920x1080] [--rasterizer auto] [DATA ...]
 
@@ -24,6 +24,8 @@ from orogen.view.renderer import Renderer
 VIEWS = {"low": (300.0, -10.0), "middle": (1000.0, -30.0), "high": (3000.0, -80.0)}
 """Samples above the ground, and pitch in degrees."""
 FRAMES = 9
+HIDDEN = {"drawn": False, "left out": True, "by default": None}
+"""What becomes of hidden tiles, and the setting for it."""
 HEADS = (
     "data",
     "view",
@@ -42,7 +44,7 @@ HEADS = (
 def measure(
     gpu: Gpu, name: str, pyramid: Pyramid, quad: float, size: tuple[int, int], path: str, place: tuple[float, float]
 ) -> Iterator[tuple[str, ...]]:
-    """A row of figures per view, without and with occlusion; `place`: columns and rows, 0 to 1, of the camera."""
+    """A row of figures per view and way of treating hidden tiles; `place`: columns and rows, 0 to 1, of the camera."""
     grid = pyramid.grid
     x, y = (float(n) for n in grid.to_crs(place[0] * grid.width, place[1] * grid.height))
     renderer = Renderer(
@@ -54,13 +56,13 @@ def measure(
     for view, (above, pitch) in VIEWS.items():
         z = renderer.clipmap.height_under(x, y) + above * grid.spacing
         cameras = [Camera(x=x, y=y, z=z, heading=20.0 + 0.1 * n, pitch=pitch) for n in range(FRAMES)]
-        for occlusion in (False, True):
+        for hidden, occlusion in HIDDEN.items():
             renderer.use("udlod", {"pixels_per_quad": quad, "occlusion": occlusion})
             times = [timing.gpu_times for timing in renderer.time_frames(cameras, size)[2:]]
             picture = renderer.render(cameras[-1], size)
             parts = [_median(times, *names) for names in (("refine",), ("raster",), ("pyramid", "reveal"), ("shade",))]
             yield (
-                name, view, "left out" if occlusion else "drawn", f"{picture.statistics.patches:,}",
+                name, view, hidden, f"{picture.statistics.patches:,}",
                 f"{picture.statistics.triangles / 1e6:.1f}", f"{(picture.reverse_depth > 0).mean():.2f}",
                 *(f"{part:.3f}" for part in parts), f"{statistics.median(sum(each.values()) for each in times):.3f}",
             )  # fmt: skip

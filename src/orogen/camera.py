@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.errors import SettingsError
+from orogen.values import once
 
 Vector = tuple[float, float, float]
 
@@ -55,7 +55,7 @@ class Camera:
         if self.orthographic is not None and not (math.isfinite(self.orthographic) and self.orthographic > 0):
             raise SettingsError(f"camera orthographic: expected a height above 0 metres, got {self.orthographic:g}")
 
-    @cached_property
+    @once
     def axes(self) -> tuple[Vector, Vector, Vector]:
         """The unit vectors right, up and forward in (east, north, up)."""
         h, p, r = (math.radians(a) for a in (self.heading, self.pitch, self.roll))
@@ -69,7 +69,7 @@ class Camera:
         tilted = (cos * r0 - sin * u0, cos * r1 - sin * u1, cos * r2 - sin * u2)
         return tilted, (sin * r0 + cos * u0, sin * r1 + cos * u1, sin * r2 + cos * u2), forward
 
-    @cached_property
+    @once
     def basis(self) -> NDArray[np.float64]:
         """`axes` as the rows of a 3 x 3 matrix."""
         return np.array(self.axes)

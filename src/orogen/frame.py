@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import operator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from orogen.camera import Camera, Vector
 from orogen.errors import SettingsError
 from orogen.grid import EARTH_RADIUS, Grid
+from orogen.values import once
 
 REFERENCE_FOV = 45.0
 """Vertical angle (degrees) of the perspective camera whose distances stand in for an orthographic one's."""
@@ -65,9 +65,11 @@ class Frame:
     curvature: bool = False
     """Lower the ground by d^2 / 2R with the distance d from the camera."""
     jitter: tuple[float, float] = (0.0, 0.0)
-    """Offset of the sample within the pixel, in pixels (x right, y down), within -0.5 to 0.5."""
+    """Offset of the sample from the pixel's centre, in pixels (x right, y down): within -0.5 to 0.5, but for a part of
+    a larger picture also where its middle lies from that one's."""
     coarseness: float = 1.0
-    """Factor, at least 1, by which triangles may be larger in the picture than an algorithm's settings say."""
+    """Factor by which triangles may be larger in the picture than an algorithm's settings say; below 1 where `size` is
+    that of a part of the picture that geometry is chosen for."""
     slice: int = 0
     """Which part of the frame is asked for, where it is drawn in several (temporal coherence)."""
     time_budget: float | None = field(default=None)
@@ -77,8 +79,8 @@ class Frame:
         check_size(self.size)
         if not (math.isfinite(self.exaggeration) and self.exaggeration > 0):
             raise SettingsError(f"exaggeration: expected a number above 0, got {self.exaggeration:g}")
-        if not (math.isfinite(self.coarseness) and self.coarseness >= 1):
-            raise SettingsError(f"coarseness: expected 1 or more, got {self.coarseness:g}")
+        if not (math.isfinite(self.coarseness) and self.coarseness > 0):
+            raise SettingsError(f"coarseness: expected a number above 0, got {self.coarseness:g}")
 
     @property
     def lod(self) -> Camera:
@@ -91,56 +93,61 @@ class Frame:
         return self.size[0] / self.coarseness, self.size[1] / self.coarseness
 
     @property
+    def texel_size(self) -> tuple[float, float]:
+        """Width and height in pixels of what texels are chosen for: the picture, or that of which it is a part."""
+        return max(self.size, self.lod_size)
+
+    @property
     def lod_fov(self) -> float:
         """Vertical angle of view (degrees) of the LOD camera, or of what stands in for an orthographic one."""
         return REFERENCE_FOV if self.lod.orthographic else self.lod.fov
 
-    @cached_property
+    @once
     def subtexel_bits(self) -> int:
         """Fixed-point bits below a level-0 texel of the heights."""
         return subtexel_bits(self.grid)
 
-    @cached_property
+    @once
     def eye_texel(self) -> tuple[float, float]:
         """The camera's position (column, row) in level-0 texels."""
         return self.grid.texel_of(self.camera.x, self.camera.y)
 
-    @cached_property
+    @once
     def eye(self) -> NDArray[np.float64]:
         """`eye_texel` as an array."""
         return np.array(self.eye_texel)
 
-    @cached_property
+    @once
     def anchor_subtexel(self) -> tuple[int, int]:
         """The camera's position in whole subtexels, kept within int32; what shaders subtract."""
-        unit = 1 << self.subtexel_bits
-        x, y = (min(max(at * unit, -_FARTHEST), _FARTHEST) for at in self.eye_texel)
+        unit, (x, y) = 1 << self.subtexel_bits, self.eye_texel
+        x, y = min(max(x * unit, -_FARTHEST), _FARTHEST), min(max(y * unit, -_FARTHEST), _FARTHEST)
         return math.floor(x), math.floor(y)
 
-    @cached_property
+    @once
     def anchor(self) -> NDArray[np.int32]:
         """`anchor_subtexel` as an array."""
         return np.array(self.anchor_subtexel, np.int32)
 
-    @cached_property
+    @once
     def eye_fraction(self) -> tuple[float, float]:
         """The camera's position minus the anchor, in subtexels: below 1 unless the camera is far outside."""
         unit, (x, y), (left, top) = 1 << self.subtexel_bits, self.eye_texel, self.anchor_subtexel
         return x * unit - left, y * unit - top
 
-    @cached_property
+    @once
     def eye_offset(self) -> NDArray[np.float64]:
         """`eye_fraction` as an array."""
         return np.array(self.eye_fraction)
 
-    @cached_property
+    @once
     def eye_height(self) -> tuple[float, float]:
         """The camera's height (m of the data, exaggeration undone): rounded to float32, and what that leaves out."""
         height = self.camera.z / self.exaggeration
         rounded = float(np.float32(height))
         return rounded, height - rounded
 
-    @cached_property
+    @once
     def metres(self) -> NDArray[np.float64]:
         """2 x 2 matrix from a step in subtexels to metres (east, north)."""
         return self.grid.metres / (1 << self.subtexel_bits)
@@ -150,7 +157,7 @@ class Frame:
         """1 / 2R with curvature, else 0: the drop of the ground is this times the squared distance."""
         return 0.5 / EARTH_RADIUS if self.curvature else 0.0
 
-    @cached_property
+    @once
     def half_extent(self) -> tuple[float, float]:
         """Half width and height of the picture: at view depth 1 (perspective) or in metres (orthographic)."""
         camera = self.camera
@@ -175,13 +182,13 @@ class Frame:
         """
         return self._lod_eye
 
-    @cached_property
+    @once
     def _lod_eye(self) -> NDArray[np.float64]:
         result = np.array(self.lod_place)
         result.flags.writeable = False
         return result
 
-    @cached_property
+    @once
     def lod_place(self) -> Vector:
         """`lod_eye` as plain numbers."""
         lod = self.lod
@@ -205,7 +212,7 @@ class Frame:
     def _data_diagonal(self) -> float:
         return float(np.abs(self.grid.metres @ np.diag([self.grid.width, self.grid.height])).sum())
 
-    @cached_property
+    @once
     def depth_range(self) -> tuple[float, float]:
         """View depths of an orthographic camera's near and far plane: the whole data lies between them."""
         w, h = self.grid.width, self.grid.height
@@ -218,7 +225,7 @@ class Frame:
         margin = 1.0 + 0.01 * float(np.ptp(depths))
         return float(depths.min()) - margin, float(depths.max()) + margin
 
-    @cached_property
+    @once
     def clip_rows(self) -> tuple[Row, Row, Row, Row]:
         """The rows of `view_projection`."""
         right, up, forward = self.camera.axes
@@ -233,7 +240,7 @@ class Frame:
             depth, w = (0.0, 0.0, 0.0, self.camera.near), (*forward, 0.0)
         return _across(right, half_x, shift_x, w), _across(up, half_y, shift_y, w), depth, w
 
-    @cached_property
+    @once
     def view_projection(self) -> NDArray[np.float64]:
         """4 x 4 (rows first) from camera-relative metres to clip space: reverse z, infinite far, jitter applied."""
         return np.array(self.clip_rows)
@@ -294,16 +301,21 @@ class Frame:
         """
         return self._planes
 
-    @cached_property
+    @once
     def _planes(self) -> NDArray[np.float64]:
+        planes = np.array(self.plane_rows)
+        planes.flags.writeable = False
+        return planes
+
+    @once
+    def plane_rows(self) -> tuple[Row, ...]:
+        """The rows of `planes`."""
         rows, shift = self.clip_rows, (0.0, 0.0, 0.0)
         if self.lod_camera:
             rows = replace(self, camera=self.lod_camera, lod_camera=None, jitter=(0.0, 0.0)).clip_rows
             east, north = (self._metric(self.lod_camera) - self._metric(self.camera)).tolist()
             shift = east, north, self.lod_camera.z - self.camera.z
-        planes = np.array(_planes_of(rows, shift))
-        planes.flags.writeable = False
-        return planes
+        return _planes_of(rows, shift)
 
 
 def _across(axis: Vector, half: float, shift: float, w: Row) -> Row:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from orogen.camera import Camera
 from orogen.errors import SettingsError
-from orogen.frame import check_size
 from orogen.pyramid.composed import ComposedPyramid
 from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.open import open_pyramid
@@ -161,16 +160,18 @@ class Terrain(Dataset):
     ) -> Picture:
         """A complete picture, the same each time.
 
-        `camera`: None shows the whole terrain. `size`: width and height in pixels. `style` and `scene`: None for the
-        defaults. `samples`: per pixel, 1 to 256. Waits for what the picture needs.
+        `camera`: None shows the whole terrain. `size`: width and height in pixels; what is more than the GPU holds is
+        drawn in parts. `style` and `scene`: None for the defaults. `samples`: per pixel, 1 to 256. Waits for what the
+        picture needs.
 
         Raises SettingsError for values out of their range, SourceError or StoreError where nothing of the data can be
         read, and GpuError (NoAdapterError, BudgetError, DeviceLostError) where the GPU cannot draw it.
         """
         from orogen.shading.style import Style
+        from orogen.view.parts import check_picture_size
         from orogen.view.renderer import Scene
 
-        check_size(size)
+        check_picture_size(size)
         for name, value, kind in (("camera", camera, Camera), ("style", style, Style), ("scene", scene, Scene)):
             if not isinstance(value, kind | None):
                 raise SettingsError(f"{name}: expected an orogen.{kind.__name__} or None, got {value!r}")
@@ -295,7 +296,8 @@ def open_terrain(
     rasterio dataset, "synthetic" or "procedural".
 
     What is draped over it
-    color: an image, laid by its georeference, or without one over the same extent.
+    color: an image, a list of them, a pattern, a folder or map tiles, laid by its georeference, or without one over the
+    same extent.
     color_extent: whether such an image spans the "pixels" of the heights or the centres of the outermost "samples".
     color_ramp: name of a colour ramp, or a file of one: `color` is a raster of one band then, whose values it colours.
     overlay: vector files to draw over that, the last on top: paths, such as "trails.gpkg,color=red,width=20", or

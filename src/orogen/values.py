@@ -1,12 +1,14 @@
-"""Settings from text: values by name into frozen dataclasses, with errors that say what there is."""
+"""Settings from text: values by name into frozen dataclasses, with errors that say what there is; attributes that are
+worked out once.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from numbers import Real
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from orogen.errors import SettingsError
 
@@ -14,6 +16,25 @@ T = TypeVar("T")
 
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 """Words for whether something is switched on."""
+
+
+class once(Generic[T]):
+    """A property that is worked out when it is first asked for: functools.cached_property without the lock that Python
+    3.11 takes for it, which costs more than most of what a frame works out.
+    """
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        self._compute = compute
+        self.__doc__ = compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> T:
+        if instance is None:
+            return self  # type: ignore[return-value]
+        value = instance.__dict__[self._name] = self._compute(instance)
+        return value
 
 
 def expected_name(what: str, name: str, known: Iterable[str]) -> SettingsError:

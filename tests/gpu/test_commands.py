@@ -54,15 +54,16 @@ def encoders(request: pytest.FixtureRequest, gpu: Gpu, monkeypatch: pytest.Monke
 def begun(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """The passes that the library is told to begin."""
     assert gpu._driver is not None
-    functions, seen = gpu._driver.functions["CommandEncoder"], []
+    seen: list[str] = []
     for kind in ("Compute", "Render"):
-        original = getattr(functions, f"Begin{kind}Pass")
+        functions = gpu._driver.functions[f"{kind}PassEncoder"]
+        original = functions.Begin
 
         def begin(*arguments: Any, kind: str = kind, original: Any = original) -> Any:
             seen.append(kind)
             return original(*arguments)
 
-        monkeypatch.setattr(functions, f"Begin{kind}Pass", begin)
+        monkeypatch.setattr(functions, "Begin", begin)
     return seen
 
 

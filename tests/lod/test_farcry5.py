@@ -390,11 +390,11 @@ def test_boxes_are_put_where_the_frame_before_saw_them(steep: Scene) -> None:
     before = steep.frame(eye, SIZE)
     show(steep, before, state)
     now = steep.frame(eye.moved(x=eye.x + 31.0, y=eye.y - 57.0, z=eye.z + 23.0, heading=20.0), SIZE)
-    projection = state._pyramid.projection(now)  # type: ignore[attr-defined]
+    columns = np.reshape(state._pyramid.projection(now), (4, 4))  # type: ignore[attr-defined]
     points = np.random.default_rng(2).uniform(-500, 500, (20, 3))
     moved = points + np.array([31.0, -57.0, 23.0])
     np.testing.assert_allclose(
-        np.c_[points, np.ones(20)] @ projection.T, np.c_[moved, np.ones(20)] @ before.view_projection.T, atol=1e-6
+        np.c_[points, np.ones(20)] @ columns, np.c_[moved, np.ones(20)] @ before.view_projection.T, atol=1e-6
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import orogen
 from orogen.errors import OutputError, SettingsError, SourceError, StoreError
 from orogen.keys import level_shape
 from orogen.pyramid import Pyramid, build_pyramid, open_pyramid, update_pyramid
-from orogen.source import open_colour, open_height
+from orogen.source import open_colour, open_height, survey
+from orogen.source.heights import HeightSource
 from orogen.source.rounding import Rounding
 from rasters import write_tiled as write
 
@@ -122,6 +124,29 @@ def test_mosaics_of_heights_and_of_images_become_layers(tmp_path: Path) -> None:
             assert_same(terrain.colors, image)
         with open_pyramid(open_height(tmp_path / "out.zarr" / "again")) as again:
             assert_same(again, expected)
+
+
+def test_a_raster_that_changes_meanwhile_ends_the_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "IN_MEMORY", 0)  # read by window, as large ones are
+    path, out = write(tmp_path / "dem.tif", hills((4200, 330))), tmp_path / "out.zarr"
+    changed = hills((4200, 330), seed=2)
+
+    def read(source: HeightSource, rows: slice, cols: slice) -> NDArray[np.float32]:
+        found = real(source, rows, cols)
+        if not (tmp_path / "new.tif").exists():
+            write(tmp_path / "new.tif", changed)
+            path.write_bytes((tmp_path / "new.tif").read_bytes())
+            os.utime(path, ns=(1, 1))
+        return found
+
+    real = HeightSource.read
+    monkeypatch.setattr(HeightSource, "read", read)
+    with pytest.raises(SourceError, match=r"dem\.tif: changed on disk since it was opened"):
+        build_pyramid(path, out)
+    assert not out.exists()
+    build_pyramid(path, out)
+    with open_pyramid(open_height(out)) as pyramid:
+        np.testing.assert_array_equal(whole(pyramid, 0), changed)
 
 
 def test_several_heights(dem: Path, tmp_path: Path) -> None:

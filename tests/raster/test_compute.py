@@ -16,7 +16,7 @@ from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu
 from orogen.lod.contract import Draw, Module, Patches
-from orogen.lod.mesh import MESHLET, Mesh, clusters, grid_triangles
+from orogen.lod.mesh import MESHLET_TRIANGLES, MESHLET_VERTICES, Mesh, clusters, grid_triangles
 from orogen.raster.compute import can_rasterize
 from orogen.raster.rasterizer import Rasterizer
 
@@ -232,12 +232,12 @@ def test_several_draws_share_a_picture(gpu: Gpu, scene: Scene) -> None:
 
 def test_meshlets_hold_every_triangle_once() -> None:
     random = np.random.default_rng(9)
-    for triangles in (grid_triangles(33, 21), grid_triangles(1, 1), random.integers(0, 500, (700, 3))):
+    for triangles in (grid_triangles(33, 21), grid_triangles(1, 1), random.integers(0, 700, (1000, 3))):
         groups = clusters(triangles)
         np.testing.assert_array_equal(np.concatenate(groups), triangles)
         for group in groups:
-            assert len(group) <= MESHLET
-            assert len(np.unique(group)) <= MESHLET
+            assert len(group) <= MESHLET_TRIANGLES
+            assert len(np.unique(group)) <= MESHLET_VERTICES
     # a grid shares most vertices: far fewer than three a triangle
     for side in (16, 32, 64):
         assert np.mean([len(np.unique(group)) / len(group) for group in clusters(grid_triangles(side, side))]) < 1.1

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from numpy.typing import NDArray
@@ -125,6 +126,42 @@ def test_unlike_vertical_references_are_refused(tmp_path: Path) -> None:
     assert "EGM96" in str(source.vertical_crs)
     assert everything(source).shape == (20, 60)
     assert np.isnan(everything(source)[:, 20:40]).all()
+
+
+def test_feet_beside_metres_and_depths_of_one_datum(tmp_path: Path) -> None:
+    """NAVD88 in metres, US survey feet and as depths, in three CRS: a smooth surface, computed at each sample."""
+
+    def surface(crs: str, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
+        lon, lat = pyproj.Transformer.from_crs(crs, "EPSG:4269", always_xy=True).transform(x, y)
+        return 700 + 400 * np.sin(np.radians(lon + 122) * 300) * np.cos(np.radians(lat - 38) * 280)
+
+    def tile(name: str, crs: str, corner: tuple[float, float], step: float, size: int, unit: float) -> Path:
+        """Of `size` x `size` samples from its upper left corner (degrees) on."""
+        x0, y0 = pyproj.Transformer.from_crs("EPSG:4269", crs.partition("+")[0], always_xy=True).transform(*corner)
+        at = (np.arange(size) + 0.5) * step
+        heights = surface(crs.partition("+")[0], *np.meshgrid(x0 + at, y0 - at)) / unit
+        place = from_origin(x0, y0, step, step)
+        return write(tmp_path / name, heights.astype(np.float32), crs=crs, transform=place)
+
+    survey_foot = 1200 / 3937
+    metres = tile("metres.tif", "EPSG:26910+5703", (-122.0, 38.0), 30.0, 150, 1.0)
+    feet = tile("feet.tif", "EPSG:2227+6360", (-121.96, 37.995), 110.0, 160, survey_foot)
+    depths = tile("depths.tif", "EPSG:4269+6358", (-122.03, 37.98), 0.0008, 90, -survey_foot)
+    for order in ((metres, feet, depths), (depths, metres, feet)):
+        source = open_height(order)
+        assert source.grid.spacing == pytest.approx(30, rel=1e-3)
+        rows, cols = source.grid.shape
+        x, y = source.grid.to_crs(*np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5))
+        found = everything(source)
+        valid = np.isfinite(found)
+        assert valid.sum() > 50_000
+        wrong = np.abs(found - surface("EPSG:26910", x, y))[valid]
+        assert (wrong < 0.05).mean() > 0.98
+        assert wrong.max() < 1.5, "half a sample of the coarsest, at its edge, where the ground rises by 0.024"
+        source.close()
+    other = tile("ngvd29.tif", "EPSG:26910+7968", (-122.0, 38.0), 30.0, 20, 1.0)
+    with pytest.raises(SourceError, match=r"NGVD29 height.*NAVD88 height.*never shifted"):
+        open_height([metres, other])
 
 
 @pytest.mark.parametrize("step", [0.1, 0.05])

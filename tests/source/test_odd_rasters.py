@@ -6,7 +6,6 @@ import logging
 import os
 import struct
 import sys
-import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -236,15 +235,6 @@ def test_an_impossible_scale_of_a_file_can_be_replaced(tmp_path: Path, scale: fl
     with pytest.raises(SourceError, match=r"a\.tif: tells a scale of .*height_scale= and height_offset="):
         open_height(path)
     np.testing.assert_array_equal(everything(open_height(path, height_scale=1, height_offset=0)), hills())
-
-
-def test_archives_are_read_and_a_bare_one_is_explained(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", hills())
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.write(path, "a.tif")
-    np.testing.assert_array_equal(everything(open_height(f"zip://{tmp_path / 'a.zip'}!a.tif")), hills())
-    with pytest.raises(SourceError, match=r"a\.zip: .*name the raster in it: zip://"):
-        open_height(tmp_path / "a.zip")
 
 
 def test_a_damaged_file_beside_the_data_is_one_error_and_nothing_on_stderr(

@@ -121,8 +121,10 @@ def test_the_bounds_are_kept():
     assert quality.scale < 1
     with pytest.raises(SettingsError, match="coarsest_detail"):
         QualitySettings(coarsest_detail=0.1)
-    with pytest.raises(SettingsError, match="coarseness: expected 1 or more"):
-        Frame(Camera(0.0, 0.0, 1.0), None, SIZE, coarseness=0.5)
+    with pytest.raises(SettingsError, match=r"coarseness: expected 1 or more, got 0\.5"):
+        Scene(coarseness=0.5)
+    with pytest.raises(SettingsError, match="coarseness: expected a number above 0, got 0"):
+        Frame(Camera(0.0, 0.0, 1.0), None, SIZE, coarseness=0.0)
 
 
 def test_the_share_of_geometry():

@@ -67,6 +67,26 @@ def test_the_whole_data_just_fits(grid, orthographic, heading, pitch, fov, aspec
 
 
 @GRIDS
+@pytest.mark.parametrize("orthographic", [False, True])
+@settings(max_examples=40, deadline=None)
+@given(heading=st.floats(-180, 360), pitch=st.floats(-90, -5), covered=st.floats(0, 0.6), aspect=st.floats(0.6, 3))
+def test_the_whole_data_fits_beside_what_is_covered(grid, orthographic, heading, pitch, covered, aspect):
+    options = {"heading": heading, "pitch": pitch, "aspect": aspect, "orthographic": orthographic}
+    camera = frame_camera(grid, (200.0, 1500.0), covered=covered, **options)
+    seen = picture_positions(camera, grid, (round(1000 * aspect), 1000), *box(grid, 200.0, 1500.0))
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    limit = 1 - 2 * MARGIN
+    assert low[0] > 2 * covered - limit - 5e-3
+    assert low[1] > -limit - 5e-3
+    assert high.max() < limit + 5e-3
+    # across or upwards it fills what there is
+    across = [low[0] - 2 * covered + limit, limit - high[0]]
+    upwards = [low[1] + limit, limit - high[1]]
+    near = not orthographic and nearest_depth(camera, grid, *box(grid, 200.0, 1500.0)) == pytest.approx(NEAREST)
+    assert near or min(max(np.abs(across)), max(np.abs(upwards))) < 5e-3
+
+
+@GRIDS
 def test_look_at_is_in_the_middle_at_the_distance(grid):
     x, y = (float(v) for v in grid.to_crs(100.0, 300.0))
     camera = frame_camera(
@@ -138,6 +158,7 @@ def test_displaced_steps_in_true_metres():
         ({"pitch": -91.0}, "pitch"),
         ({"fov": 180.0}, "fov"),
         ({"aspect": 0.0}, "aspect"),
+        ({"covered": 0.95}, r"covered: expected 0 to 0\.9"),
         ({"exaggeration": -1.0}, "exaggeration"),
         ({"bounds": (0.0, 0.0, math.nan, 1.0)}, "bounds"),
         ({"bounds": (401000.0, 3790000.0, 400000.0, 3791000.0)}, "left < right"),

@@ -7,6 +7,7 @@ import http.client
 import io
 import os
 import socket
+import struct
 import sys
 import time
 
@@ -286,6 +287,21 @@ def test_a_page_that_never_reads_stalls_nobody_and_is_given_up(page, server):
     assert resident() - before < 100 << 20
     until(lambda: len(server._clients) == 1)
     page.wheel()
+    page.settle()
+
+
+def test_pages_that_vanish_in_the_middle_of_a_picture(page, server):
+    page.settle()
+    for _ in range(3):
+        # one that takes little of a large picture, and whose machine is switched off then
+        torn = Page(server, max_queue=1)
+        torn.resize((1600, 1000))
+        until(lambda: any(c.size and c.size.width == 1600 and c._sent for c in server._clients))
+        torn.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        torn.socket.socket.close()
+        page.wheel(-30.0)
+        page.next()
+        until(lambda: len(server._clients) == 1 and len(server._drawing._views) == 1)
     page.settle()
 
 

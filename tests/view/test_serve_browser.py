@@ -139,6 +139,31 @@ def test_a_browser_shows_the_terrain_and_flies(server, tmp_path):
 
 
 @pytest.mark.skipif(chromium.find() is None, reason="no Chromium here")
+def test_a_tab_that_was_suspended_is_connected_again(server, tmp_path):
+    until(lambda: not server._clients)
+    with chromium.Browser(tmp_path / "browser", (320, 240)) as browser, Page(server) as other:
+        other.resize()
+        other.settle()
+
+        def ours():
+            return next((c for c in server._clients if c.size and c.size.width == 320 and not c.gone), None)
+
+        browser.open(server.address)
+        before = until(ours, 60)
+        until(lambda: at_rest(server, before))
+        # browsers break the connections of tabs that they suspend; others go on
+        browser.ask("Page.setWebLifecycleState", state="frozen")
+        other.wheel(-30.0)
+        other.settle()
+        browser.ask("Page.setWebLifecycleState", state="active")
+        after = until(lambda: ours() is not before and ours())
+        until(lambda: at_rest(server, after) and browser.run("document.getElementById('notice').hidden"))
+        # one that is sent away is told so, and stays away
+        after.fail("this view has failed")
+        until(lambda: not browser.run("document.getElementById('again').hidden"))
+
+
+@pytest.mark.skipif(chromium.find() is None, reason="no Chromium here")
 def test_a_browser_that_finds_no_place_says_so(server, tmp_path):
     until(lambda: not server._clients)
     with contextlib.ExitStack() as stack:

@@ -41,7 +41,7 @@ def view(
     with open_terrain(one_or_all(data), options, drawing, lambda part, text: None, "background") as terrain:
         session = Session(
             terrain, look, before,
-            camera=place_camera(terrain, camera, before, size),
+            camera=place_camera(terrain, camera, before, size) if camera else None,
             opener=opener,
         )  # fmt: skip
         window = Window(session, size=size, title=f"{terrain.name} - orogen", panel=not no_panel)

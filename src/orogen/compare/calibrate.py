@@ -149,11 +149,13 @@ def milliseconds(renderer: Renderer, scenery: Scenery, shot: Shot) -> float:
     style = style_of(plan.shown, shot)
     # timestamps of software drivers leave work out
     by_wall = "timestamp-query" not in gpu.features or gpu.info.kind == "cpu"
-    spans = []
+    spans, record_time = [], 0.0
     for _ in range(1 + plan.repeats):
+        if not by_wall:
+            renderer.keep_busy(record_time)
         start = time.perf_counter()
         picture = renderer.render(shot.camera, plan.size, style, scenery.scene())
-        wall = 1000 * (time.perf_counter() - start)
+        wall, record_time = 1000 * (time.perf_counter() - start), picture.record_time
         spans.append(wall if by_wall else sum(picture.gpu_times.values()))
     # the first one also loads
     return statistics.median(spans[1:])

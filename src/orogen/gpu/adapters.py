@@ -106,11 +106,17 @@ def _describe(index: int, adapter: Any) -> AdapterInfo:
 
 @cache
 def _use_full_backends() -> None:
-    """Keep OpenGL out: it lists every device twice, lacks what the shaders need, and costs 0.2 s to look at."""
+    """Keep OpenGL out: it lists every device twice, lacks what the shaders need, and costs 0.2 s to look at.
+
+    Keep out, too, the dispatch that checks the arguments of each indirect one, all of which are written here; not on
+    Windows, where Direct3D's shaders may be told of their place by it.
+    """
     from wgpu.backends.wgpu_native.extras import set_instance_extras
 
     try:
-        set_instance_extras(backends=("Vulkan", "Metal", "DX12"))
+        set_instance_extras(
+            backends=("Vulkan", "Metal", "DX12"), flags=("Default" if sys.platform == "win32" else "Empty",)
+        )
     except RuntimeError:
         # somebody else in this process has looked for adapters already; theirs serve as well
         return

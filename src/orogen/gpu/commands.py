@@ -169,7 +169,7 @@ class _Pass:
         """Its name in messages."""
         self._commands = commands
         self._driver = driver
-        self._functions = driver.functions[f"{self._kind}PassEncoder"]
+        self._functions = driver.functions[self._kind]
         self._description = description
         self._calls: list[Call] = []
         self._add = self._calls.append
@@ -203,8 +203,7 @@ class _Pass:
 
     def play(self, encoder: Any) -> None:
         """Call the library."""
-        begin = getattr(self._driver.functions["CommandEncoder"], f"Begin{self._kind}Pass")
-        handle = begin(encoder, self._description[0])
+        handle = self._functions.Begin(encoder, self._description[0])
         try:
             for function, arguments, _ in self._calls:
                 function(handle, *arguments)
@@ -216,7 +215,7 @@ class _Pass:
 class ComputePass(_Pass):
     """Dispatches."""
 
-    _kind = "Compute"
+    _kind = "ComputePassEncoder"
 
     def dispatch_workgroups(self, x: int, y: int = 1, z: int = 1) -> None:
         """As in WebGPU."""
@@ -230,7 +229,7 @@ class ComputePass(_Pass):
 class RenderPass(_Pass):
     """Draws."""
 
-    _kind = "Render"
+    _kind = "RenderPassEncoder"
 
     def set_index_buffer(self, buffer: Any, form: str) -> None:
         """The whole buffer; `form`: "uint16" or "uint32"."""

@@ -66,7 +66,10 @@ class Driver:
             kind: SimpleNamespace(**{name: getattr(lib, f"wgpu{kind}{name}") for name in names.split()})
             for kind, names in _FUNCTIONS.items()
         }
-        """C functions by the object that they belong to, without its name."""
+        """C functions by the object that they belong to, without its name; "Begin" of a pass begins it."""
+        for kind in ("Compute", "Render"):
+            begin = getattr(self.functions["CommandEncoder"], f"Begin{kind}Pass")
+            self.functions[f"{kind}PassEncoder"].Begin = begin
         # what does not work fails here, not in a frame
         self.compute_pass("", (self.ffi.NULL, 0, 1))
         none = self.ffi.NULL

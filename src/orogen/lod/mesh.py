@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from orogen.errors import SettingsError
 from orogen.gpu import Buffer, Gpu
 
-MESHLET = 128
-"""Triangles, at most, and vertices, at most, of a meshlet: one invocation of a workgroup each."""
+MESHLET_TRIANGLES, MESHLET_VERTICES = 256, 160
+"""What a meshlet has at most, triangles a power of two: half a patch of 16 x 16 quads, few of whose vertices the other
+half computes again."""
 
-MESHLET_WORDS = 2 + 2 * MESHLET
-"""u32 of a meshlet in the buffer: vertex count, triangle count, vertices, triangles (three bytes, the first lowest)."""
+MESHLET_WORDS = 2 + MESHLET_VERTICES + MESHLET_TRIANGLES
+"""u32 of a meshlet in the buffer: vertex count, triangle count, vertices, triangles (corners of ten bits each, the
+first lowest)."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def clusters(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Triangles by meshlet, (n, 3) each, in their order: lists that go row by row share most of their vertices so."""
     cuts, vertices = [0], set[int]()
     for number, corners in enumerate(triangles.tolist()):
-        if number - cuts[-1] == MESHLET or len(vertices.union(corners)) > MESHLET:
+        if number - cuts[-1] == MESHLET_TRIANGLES or len(vertices.union(corners)) > MESHLET_VERTICES:
             cuts.append(number)
             vertices = set()
         vertices.update(corners)
@@ -93,5 +95,6 @@ def _meshlet(triangles: NDArray[np.integer]) -> NDArray[np.uint32]:
     words = np.zeros(MESHLET_WORDS, np.uint32)
     words[0], words[1] = len(vertices), len(triangles)
     words[2 : 2 + len(vertices)] = vertices
-    words[2 + MESHLET : 2 + MESHLET + len(triangles)] = local @ [1, 1 << 8, 1 << 16]
+    first = 2 + MESHLET_VERTICES
+    words[first : first + len(triangles)] = local @ [1, 1 << 10, 1 << 20]
     return words

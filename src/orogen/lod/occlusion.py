@@ -94,14 +94,14 @@ class DepthPyramid:
         run.end()
         self.seen = frame
 
-    def projection(self, frame: Frame) -> NDArray[np.float64] | None:
-        """4 x 4 (rows first) from metres relative to `frame`'s camera to the clip space of what was seen."""
+    def projection(self, frame: Frame) -> tuple[float, ...] | None:
+        """4 x 4, columns first, from metres relative to `frame`'s camera to the clip space of what was seen."""
         if self.seen is None:
             return None
-        shift = np.eye(4)
-        shift[:2, 3] = frame.grid.metres @ (frame.eye - self.seen.eye)
-        shift[2, 3] = frame.camera.z - self.seen.camera.z
-        return self.seen.view_projection @ shift
+        east, north = (frame.grid.metres @ (frame.eye - self.seen.eye)).tolist()
+        up = frame.camera.z - self.seen.camera.z
+        rows = [(x, y, z, x * east + y * north + z * up + w) for x, y, z, w in self.seen.clip_rows]
+        return tuple(value for column in zip(*rows, strict=True) for value in column)
 
 
 def _level_numbers() -> NDArray[np.uint32]:

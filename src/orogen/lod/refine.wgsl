@@ -8,24 +8,28 @@
 // Tiles that the frame before would hide are put aside as they are. When the others have been drawn, those among them that
 // these do not hide are refined in a few levels more.
 
-const GROUP = 256u;
+const GROUP = #{GROUP}u;      // small, so that also levels of few tiles reach all of the GPU
+const TOP_GROUP = 256u;
 const TOP_LEVELS = 5;        // 4^4 tiles fit one workgroup
-const DONE_BITS = 12u;
+const DONE_BITS = 14u;
 const REFINE = 0u;
 const REVEAL_FIRST = 1u;     // of those put aside
 const REVEAL = 2u;           // of what became of them
 const SIFT = #{SIFT};        // find final tiles of whose triangles nothing is seen by their samples
 const MOST_DIVISIONS = #{MOST_DIVISIONS}u;   // of a tile that is put aside
 
+// Arguments of an indexed draw, whose instances are final tiles.
+struct Draw { indices: u32, tiles: atomic<u32>, first_index: u32, base_vertex: u32, first_instance: u32 }
+
 struct State {
+    draws: array<Draw, 2>,   // of the final tiles, and of those among the ones put aside
     parents: u32,
     progress: atomic<u32>,   // workgroups that are done with the level; from DONE_BITS on tiles that were divided
-    finals: atomic<u32>,
     backwards: u32,          // 1: the parents are at the end of the list
     overflow: atomic<u32>,   // how many tiles could not be divided for want of room
     tiles: atomic<u32>,      // final ones and those still to be looked at: never more than the capacity
     hidden: atomic<u32>,     // put aside
-    drawn: u32,              // final ones that were drawn before those put aside were looked at
+    spared: atomic<u32>,     // about how many more tiles inside the frustum would have been drawn if none were put aside
 }
 
 @group(1) @binding(1) var<storage, read_write> state: State;
@@ -62,6 +66,13 @@ fn should_be_divided(tile: Tile, nearest: f32, times: u32) -> bool {
     return nearest < range_end(tile.level - times) * 1.00001;
 }
 
+// How many tiles a hidden one would have become, all of it being as far as its nearest point.
+fn tiles_within(tile: Tile, nearest: f32) -> u32 {
+    var times = 0u;
+    while (times < MOST_DIVISIONS && should_be_divided(tile, nearest, times + 1u)) { times += 1u; }
+    return 1u << (2u * times);
+}
+
 // Triangles that morph are two quads wide.
 fn tile_parts() -> f32 { return 0.5 * f32(tiling.grid_size); }
 
@@ -96,8 +107,8 @@ fn node_of(low: vec2<i32>, high: vec2<i32>, reach: Reach) -> u32 {
     return select(MANY_NODES, a.slot | (a.level << 16u), same);
 }
 
-// One tile for each invocation of a workgroup: of the list, or of those put aside.
-fn refine_tile(i: u32, local: u32, phase: u32) {
+// One tile for each of the `group` invocations of a workgroup: of the list, or of those put aside.
+fn refine_tile(i: u32, local: u32, phase: u32, group: u32) {
     if (local == 0u) {
         atomicStore(&group_divided, 0u);
         atomicStore(&group_ended, 0u);
@@ -135,7 +146,10 @@ fn refine_tile(i: u32, local: u32, phase: u32) {
                 gone = box_outside(box);
             }
             if (!gone && phase == REFINE) { hidden = should_be_put_aside(tile, reach.nearest, box); }
-            if (!gone && phase != REFINE) { gone = is_hidden_now(box); }
+            if (!gone && phase != REFINE && is_hidden_now(box)) {
+                gone = true;
+                if (box_inside(box)) { atomicAdd(&group_hidden, tiles_within(tile, reach.nearest)); }
+            }
         }
         if (!gone && !hidden) {
             // without room a tile stays coarse, which is better than a hole, until the list has grown
@@ -150,12 +164,16 @@ fn refine_tile(i: u32, local: u32, phase: u32) {
     }
     workgroupBarrier();
     if (local == 0u) {
-        first_final = atomicAdd(&state.finals, atomicLoad(&group_ended));
-        first_hidden = atomicAdd(&state.hidden, atomicLoad(&group_hidden));
+        first_final = atomicAdd(&state.draws[select(1u, 0u, phase == REFINE)].tiles, atomicLoad(&group_ended));
+        if (phase == REFINE) {
+            first_hidden = atomicAdd(&state.hidden, atomicLoad(&group_hidden));
+        } else {
+            atomicAdd(&state.spared, atomicLoad(&group_hidden));
+        }
         let before = atomicAdd(&state.progress, (atomicLoad(&group_divided) << DONE_BITS) + 1u);
         first_child = before >> DONE_BITS;
         // the level is done when its last workgroup is: the others have read what is overwritten here
-        if ((before & ((1u << DONE_BITS) - 1u)) + 1u == max((parents + GROUP - 1u) / GROUP, 1u)) {
+        if ((before & ((1u << DONE_BITS) - 1u)) + 1u == max((parents + group - 1u) / group, 1u)) {
             state.parents = 4u * (first_child + atomicLoad(&group_divided));
             state.backwards = select(1u, 0u, backwards);
             atomicStore(&state.progress, 0u);
@@ -173,35 +191,36 @@ fn refine_tile(i: u32, local: u32, phase: u32) {
     }
 }
 
-@compute @workgroup_size(GROUP)
+@compute @workgroup_size(TOP_GROUP)
 fn refine_top(@builtin(local_invocation_index) local: u32) {
     if (local == 0u) {
         temporary_tiles[0] = Tile(0u, 0u, tiling.root_level);
+        for (var i = 0u; i < 2u; i += 1u) {
+            state.draws[i].indices = 6u * tiling.grid_size * tiling.grid_size;
+            atomicStore(&state.draws[i].tiles, 0u);
+        }
         state.parents = 1u;
         state.backwards = 0u;
         atomicStore(&state.progress, 0u);
-        atomicStore(&state.finals, 0u);
         atomicStore(&state.overflow, 0u);
         atomicStore(&state.tiles, 1u);
         atomicStore(&state.hidden, 0u);
-        state.drawn = 0u;
+        atomicStore(&state.spared, 0u);
     }
     for (var level = 0; level < TOP_LEVELS; level += 1) {
         storageBarrier();
-        refine_tile(local, local, REFINE);
+        refine_tile(local, local, REFINE, TOP_GROUP);
     }
 }
 
 @compute @workgroup_size(GROUP)
 fn refine_tiles(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    refine_tile(id.x, local, REFINE);
+    refine_tile(id.x, local, REFINE, GROUP);
 }
 
 // Those put aside become the list.
 @compute @workgroup_size(1)
 fn start_reveal() {
-    state.drawn = atomicLoad(&state.finals);
-    atomicStore(&state.finals, 0u);
     state.parents = atomicLoad(&state.hidden);
     state.backwards = 0u;
     next_groups = array<u32, 3>((state.parents + GROUP - 1u) / GROUP, 1u, 1u);
@@ -209,10 +228,10 @@ fn start_reveal() {
 
 @compute @workgroup_size(GROUP)
 fn reveal_hidden(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    refine_tile(id.x, local, REVEAL_FIRST);
+    refine_tile(id.x, local, REVEAL_FIRST, GROUP);
 }
 
 @compute @workgroup_size(GROUP)
 fn reveal_tiles(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    refine_tile(id.x, local, REVEAL);
+    refine_tile(id.x, local, REVEAL, GROUP);
 }

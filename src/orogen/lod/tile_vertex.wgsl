@@ -33,5 +33,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     p = clamp_to_extent(p);
     let id = (tile.level << 26u) ^ (tile.y << 13u) ^ tile.x;
     let lines = vec4<f32>(vec2<f32>(grid), f32(grid.x + grid.y), 0.5);
-    return LodVertex(p, tile_height(p, tile.node), lines, id, resident_level(p, u32(lod_at(p))), tile.level);
+    return LodVertex(p, tile_height(p, tile.node), lines, id, drawn_level(p), tile.level);
 }

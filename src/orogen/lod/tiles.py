@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
+import struct
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame
@@ -24,11 +24,13 @@ _log = logging.getLogger("orogen")
 FINEST_QUAD = 64
 """A texel is split into at most this many quads a side: below that the bilinear surface is flat to a thousandth."""
 
+_REST = 64
+"""Frames for which occlusion rests after one in which it hid too little."""
 _WATCHED = 8
 """Every so many frames the tile count is read back: that costs as much as an eighth of recording a frame."""
-_GROUP = 256
-"""Invocations of a workgroup of refine.wgsl."""
-_MOST_GROUPS = 4095
+_GROUP = 64
+"""Invocations of a workgroup of refine.wgsl, but for the first levels."""
+_MOST_GROUPS = 16383
 """Workgroups of a dispatch that refine.wgsl can count."""
 _TOP_LEVELS = 5
 """Levels that its first dispatch refines."""
@@ -37,22 +39,14 @@ _MOST_DIVISIONS = 3
 _TEMPORARY, TILE, _HIDDEN = 24, 16, 12
 """Bytes of a tile of capacity in the temporary list, of a final tile, and of one put aside."""
 
-_STATE = np.dtype(
-    [(name, "u4") for name in ("parents", "progress", "finals", "backwards", "overflow", "tiles", "hidden", "drawn")]
-)
-_BLOCK = np.dtype(
-    [
-        ("grid_size", "u4"),
-        ("leaf", "u4"),
-        ("root_level", "u4"),
-        ("tile_capacity", "u4"),
-        ("split_distance", "f4"),
-        ("morph_range", "f4"),
-        ("history", "u4"),
-        ("foreground", "f4"),
-        ("to_history", "f4", (4, 4)),
-    ]
-)
+_DRAW = np.dtype([(name, "u4") for name in ("indices", "tiles", "first_index", "base_vertex", "first_instance")])
+_COUNTS = ("parents", "progress", "backwards", "overflow", "tiles", "hidden", "spared")
+_STATE = np.dtype([("draws", _DRAW, 2), *((name, "u4") for name in _COUNTS)])
+_BLOCK = struct.Struct("<4I2fIf16f")
+_NO_HISTORY = (0.0,) * 16
+
+DRAWS = (0, _DRAW.itemsize)
+"""Bytes before the arguments of each draw in `TileList.state`: of the final tiles, and of those of `reveal`."""
 
 
 def check_tiles(settings: Any) -> None:
@@ -84,24 +78,27 @@ class Refinement:
         *,
         sift: bool = False,
         occlusion: bool = False,
+        worth: int = 0,
     ) -> None:
         """`name`: of the algorithm. `settings` have grid_size, morph_range and tile_capacity.
 
         `quad_pixels`: greatest width of a quad in pixels where it is seen face on. `sift`: whether tiles of whose
         triangles nothing is seen are found by their samples. `occlusion`: whether tiles that the frame before would
-        hide are put aside; when the others are drawn, `TileList.reveal` has to look at them.
+        hide are put aside; when the others are drawn, `TileList.reveal` has to look at them. `worth`: how many tiles
+        that has to spare; where it spares fewer, it rests for a while.
         """
         self.clipmap = clipmap
         self.name = name
         self.settings = settings
         self.quad_pixels = quad_pixels
         self.occlusion = occlusion
+        self.worth = worth
         gpu = clipmap.gpu
         storage, read, uniform = ("COMPUTE", "storage"), ("COMPUTE", "read"), ("COMPUTE", "uniform")
         lists = {0: uniform, 1: storage, 2: storage, 3: storage, 4: read, 5: storage}
         self.lists_layout = gpu.layout(f"{name} lists", lists)
         self.groups_layout = gpu.layout(f"{name} dispatch", {0: storage})
-        constants = {**clipmap.constants, "MOST_DIVISIONS": _MOST_DIVISIONS, "SIFT": sift}
+        constants = {**clipmap.constants, "MOST_DIVISIONS": _MOST_DIVISIONS, "SIFT": sift, "GROUP": _GROUP}
         shader = gpu.shader(f"{name} refine", FOLDER / "refine.wgsl", search=SEARCH, constants=constants)
         layouts = [clipmap.layout, self.lists_layout, self.groups_layout]
 
@@ -121,9 +118,10 @@ class TileList:
         self._refinement = refinement
         self._name = name = refinement.name
         gpu = refinement.clipmap.gpu
-        self.block: Buffer = gpu.buffer(name, _BLOCK.itemsize, "UNIFORM|COPY_DST", name)
+        self.block: Buffer = gpu.buffer(name, _BLOCK.size, "UNIFORM|COPY_DST", name)
         """The uniform block of tiles.wgsl."""
-        self._state = gpu.buffer(f"{name} state", _STATE.itemsize, "STORAGE|COPY_SRC", name)
+        self.state: Buffer = gpu.buffer(f"{name} state", _STATE.itemsize, "STORAGE|INDIRECT|COPY_SRC", name)
+        """The counts of refine.wgsl, with the arguments of indexed draws of the tiles at `DRAWS`."""
         # in turn: what a dispatch takes its arguments from must not be bound for writing
         self._dispatches = [gpu.buffer(f"{name} dispatch", 12, "STORAGE|INDIRECT", name) for _ in range(2)]
         self._dispatch_groups = [
@@ -131,9 +129,12 @@ class TileList:
         ]
         self._depths = DepthPyramid(refinement.depths)
         self._written = b""
-        self._watch: tuple[int, Readback] | None = None
+        self._watch: tuple[int, bool, Readback] | None = None
         self._frames = 0
         self._fits = False
+        self._rest = 0  # frames without occlusion to come
+        self._judges = False  # whether the latest frame tells what occlusion is worth
+        self._judged = False  # whether one has since the last rest
         self.occludes = False
         """Whether the latest frame's hidden tiles are put aside."""
         self.capacity = 0
@@ -160,7 +161,7 @@ class TileList:
             self._refinement.clipmap.gpu.bind(
                 f"{self._name} lists",
                 self._refinement.lists_layout,
-                {0: self.block, 1: self._state, 2: self._temporary, 3: tiles, 4: self._depths.cells, 5: self._hidden},
+                {0: self.block, 1: self.state, 2: self._temporary, 3: tiles, 4: self._depths.cells, 5: self._hidden},
             )
             for tiles in (self.tiles, self.revealed)
         )
@@ -168,27 +169,35 @@ class TileList:
     def record(self, run: Any, frame: Frame) -> None:
         """Refine, level by level from the root; `run` has the clipmap's bind group."""
         refinement = self._refinement
-        block = lattice(frame, refinement.settings, refinement.quad_pixels, self.capacity)
+        settings = refinement.settings
+        tiles = lattice(frame, settings, refinement.quad_pixels)
+        height = above(frame)
         # depths are those of the camera that looks: one that merely watches a frozen camera says nothing about it
-        self.occludes = refinement.occlusion and frame.lod == frame.camera
-        if self.occludes and self._depths.fit(frame.size):
-            self._bind()
-        # a few times the height above the ground: what hides most of the rest
-        block["foreground"] = 16 * max(above(frame), frame.grid.spacing) if self.occludes else 1e30
-        projection = self._depths.projection(frame) if self.occludes else None
-        if projection is not None:
-            block["history"], block["to_history"] = 1, projection.T
+        self.occludes = refinement.occlusion and frame.lod == frame.camera and not self._rest
+        self._rest = max(self._rest - 1, 0)
+        foreground, history = 1e30, None
+        if self.occludes:
+            if self._depths.fit(frame.size):
+                self._bind()
+            # a few times the height above the ground: what hides most of the rest
+            foreground = 16 * max(height, frame.grid.spacing)
+            history = self._depths.projection(frame)
+        self._judges = history is not None
         # only a frame that ends with `reveal` tells what may be put aside in the next
         self._depths.seen = None
-        if block.tobytes() != self._written:
-            self._written = block.tobytes()
+        block = _BLOCK.pack(
+            settings.grid_size, tiles.leaf, tiles.root_level, self.capacity, tiles.split_distance, settings.morph_range,
+            history is not None, foreground, *(history or _NO_HISTORY),
+        )  # fmt: skip
+        if block != self._written:
+            self._written = block
             refinement.clipmap.gpu.write(self.block, block)
         run.set_bind_group(1, self.group)
         run.set_bind_group(2, self._dispatch_groups[0])
         run.set_pipeline(refinement.top)
         run.dispatch_workgroups(1)
         run.set_pipeline(refinement.level)
-        for level in range(passes(frame, block) - _TOP_LEVELS):
+        for level in range(passes(height, tiles) - _TOP_LEVELS):
             run.set_bind_group(2, self._dispatch_groups[1 - level % 2])
             run.dispatch_workgroups_indirect(self._dispatches[level % 2].raw, 0)
 
@@ -212,16 +221,23 @@ class TileList:
     def watch(self, encoder: Any) -> None:
         """Have the state read back now and then, after the frame's passes."""
         self._frames += 1
-        if self._watch is None and (self._frames % _WATCHED == 1 or not self._fits):
-            readback = self._refinement.clipmap.gpu.read_buffer(self._state, encoder=encoder)
-            self._watch = self.capacity, readback
+        wanted = not self._fits or (self._judges and not self._judged)
+        if self._watch is None and (wanted or self._frames % _WATCHED == 1):
+            readback = self._refinement.clipmap.gpu.read_buffer(self.state, encoder=encoder)
+            self._watch = self.capacity, self._judges, readback
 
     def keep_up(self) -> None:
-        """Make room where an earlier frame is known to have lacked it, without waiting for the GPU."""
-        if self._watch is None or not self._watch[1].ready():
+        """Make room where an earlier frame is known to have lacked it, and let occlusion rest where it was of little
+        use, without waiting for the GPU.
+        """
+        if self._watch is None or not self._watch[2].ready():
             return
-        (capacity, state), self._watch = self._watch, None
-        self._fits = not state.result().view(_STATE)[0]["overflow"]
+        (capacity, judges, readback), self._watch = self._watch, None
+        state = readback.result().view(_STATE)[0]
+        self._judged = judges
+        if judges and state["spared"] < self._refinement.worth:
+            self._rest, self._judged = _REST, False
+        self._fits = not state["overflow"]
         if not self._fits and capacity == self.capacity:
             try:
                 self._grow(2 * capacity)
@@ -230,8 +246,7 @@ class TileList:
 
     def count(self) -> int:
         """How many tiles the latest frame took; waits for the GPU."""
-        state = self._read_state()
-        return int(state["finals"]) + int(state["drawn"])
+        return int(self._read_state()["draws"]["tiles"].sum())
 
     def incomplete(self) -> bool:
         """Whether tiles found no room; makes room for twice as many. Raises BudgetError where that cannot be had."""
@@ -241,21 +256,35 @@ class TileList:
         return True
 
     def _read_state(self) -> Any:
-        return self._refinement.clipmap.gpu.read_buffer(self._state).result().view(_STATE)[0]
+        return self._refinement.clipmap.gpu.read_buffer(self.state).result().view(_STATE)[0]
 
 
-def passes(frame: Frame, block: NDArray[np.void]) -> int:
-    """How many levels, from the root's on, can have tiles: none is nearer to the LOD eye than the ground under it."""
-    height = above(frame)
-    root_level = int(block["root_level"])
+class Lattice(NamedTuple):
+    """What a frame says of the lattice of tiles."""
+
+    leaf: int
+    """Subtexels along a quad of level 0."""
+    root_level: int
+    """Level whose single tile covers the data."""
+    split_distance: float
+    """Metres within which a tile of level 1 is split; twice that for level 2 and so on."""
+
+
+def passes(height: float, tiles: Lattice) -> int:
+    """How many levels, from the root's on, can have tiles: none is nearer to the LOD eye than the ground under it.
+
+    `height`: `above` of the frame.
+    """
     # a tile of level l is split within split_distance 2^(l - 1) of the eye, give or take rounding
-    split = [height < 1.001 * float(block["split_distance"]) * 2.0 ** (level - 1) for level in range(root_level, 0, -1)]
-    return 1 + (split.index(False) if False in split else root_level)
+    count, reach = 1, 1.001 * tiles.split_distance * 2.0 ** (tiles.root_level - 1)
+    while count <= tiles.root_level and height < reach:
+        count, reach = count + 1, reach / 2
+    return count
 
 
 def above(frame: Frame) -> float:
     """Metres of the LOD eye above the ground under it, or below."""
-    return abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
+    return abs(frame.lod_place[2] + frame.camera.z - frame.ground_height * frame.exaggeration)
 
 
 @lru_cache(maxsize=16)
@@ -266,23 +295,18 @@ def _texel(grid: Grid) -> tuple[float, float]:
     return side, float(np.linalg.norm(corners, axis=0).max()) / side
 
 
-def lattice(frame: Frame, settings: Any, quad_pixels: float, capacity: int) -> NDArray[np.void]:
-    """The uniform block of tiles.wgsl (0-dimensional): lattice of tiles and the distances at which they are split."""
+def lattice(frame: Frame, settings: Any, quad_pixels: float) -> Lattice:
+    """The lattice of tiles and the distances at which they are split."""
     bits = frame.subtexel_bits
     leaf = max(1, (1 << bits) // FINEST_QUAD)
     longest = (max(frame.grid.shape) - 1) << bits
-    tile = settings.grid_size * leaf
-    root_level = max(0, int(np.ceil(np.log2(max(longest, 1) / tile))))
+    # tiles of level 0 along the data; the root is as many times as wide, to the next power of two
+    across = -(-longest // (settings.grid_size * leaf))
     texel_metres, diagonal = _texel(frame.grid)
-    quad_metres = texel_metres * leaf / (1 << bits)
     # neighbours differ by one level at most, and morphs do not overlap, only while a tile's diagonal fits between the
     # ends of two morphs: sqrt(2) * tile < (1 - 2 * morph_range) * range
     reach = max(
         frame.pixels_per_radian(frame.lod) / quad_pixels,
         1.01 * diagonal * settings.grid_size / (1 - 2 * settings.morph_range),
     )
-    block = np.zeros((), _BLOCK)
-    block["grid_size"], block["leaf"], block["root_level"] = settings.grid_size, leaf, root_level
-    block["tile_capacity"], block["morph_range"] = capacity, settings.morph_range
-    block["split_distance"] = 2 * quad_metres * reach
-    return block
+    return Lattice(leaf, max(across - 1, 0).bit_length(), 2 * texel_metres * leaf / (1 << bits) * reach)

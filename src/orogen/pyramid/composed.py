@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orogen.pyramid.contract import Pyramid
+from orogen.pyramid.derived import DerivedPyramid
 from orogen.pyramid.reduce import srgb_tables
 from orogen.source.warp import sampled
 
 Read = Callable[[int, slice, slice], NDArray[Any]]
 
 
-class ComposedPyramid(Pyramid):
+class ComposedPyramid(DerivedPyramid):
     """An image and a source with levels of its own over it, whose texels are those of the image or halves of them.
 
     Levels as fine as the image's are read from its pyramid, finer ones are interpolated: nothing is built for the layer
@@ -23,30 +24,10 @@ class ComposedPyramid(Pyramid):
     """
 
     def __init__(self, below: Pyramid, above: Pyramid) -> None:
-        super().__init__(above.source)
-        self._below, self._above = below, above
+        super().__init__(below, above.source)
+        self._above = above
         # texels of the layer above along one of the image: a power of two
         self._finer = (above.grid.width // below.grid.width).bit_length() - 1
-
-    @property
-    def built(self) -> bool:
-        """Whether the image's is."""
-        return self._below.built
-
-    @property
-    def exact(self) -> bool:
-        """Whether the image's is."""
-        return self._below.exact
-
-    @property
-    def chunked(self) -> bool:
-        """Whether the image's is."""
-        return self._below.chunked
-
-    @property
-    def covered(self) -> bool:
-        """Whether the image's is."""
-        return self._below.covered
 
     def available(self, level: int) -> bool:
         """Whether the image's level that is needed is there."""
@@ -61,10 +42,6 @@ class ComposedPyramid(Pyramid):
         """Like `read`, of an estimate of the image."""
         self._checked(level, rows, cols)
         return self._composed(self._below.read_estimate, level, rows, cols)
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the image's pyramid."""
-        return self._below.wait(timeout)
 
     def close(self) -> None:
         """Close both."""

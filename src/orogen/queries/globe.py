@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from orogen.grid import Grid
 from orogen.keys import NODE_SIZE, level_shape
 from orogen.pyramid.contract import Pyramid
+from orogen.pyramid.derived import DerivedPyramid
 from orogen.queries.blocks import Blocks
 from orogen.queries.geodesy import Geodesy
 from orogen.queries.points import surface_at
@@ -134,46 +135,22 @@ class Globe:
         return parts
 
 
-class TurnedPyramid(Pyramid):
+class TurnedPyramid(DerivedPyramid):
     """Heights around the globe that begin at another column; its longitudes go on beyond those of the raster."""
 
     def __init__(self, below: Pyramid, first: int, period: int) -> None:
         """`first`: the column that it begins with. `period`: columns around the globe."""
-        super().__init__(below.source)
+        super().__init__(below, below.source)
         a, b, c, d, e, f = below.grid.transform
         place = (a, b, c + a * first, d, e, f)
         self.grid = Grid(period, below.grid.height, place, below.grid.crs, below.grid.ground_scale)
         self.level_count, self.estimate_level = below.level_count, below.estimate_level
-        self._below, self._first = below, first
-
-    @property
-    def built(self) -> bool:
-        """Whether the raster's is."""
-        return self._below.built
-
-    @property
-    def exact(self) -> bool:
-        """Whether the raster's is."""
-        return self._below.exact
-
-    @property
-    def chunked(self) -> bool:
-        """Whether the raster's is."""
-        return self._below.chunked
-
-    @property
-    def covered(self) -> bool:
-        """Whether the raster is."""
-        return self._below.covered
+        self._first = first
 
     @property
     def height_range(self) -> tuple[float, float]:
         """That of the raster."""
         return self._below.height_range
-
-    def available(self, level: int) -> bool:
-        """Whether the raster's level is."""
-        return self._below.available(level)
 
     def read(self, level: int, rows: slice, cols: slice) -> NDArray[Any]:
         """As `Pyramid.read`; coarse levels of a width that they do not divide are off by less than a sample."""

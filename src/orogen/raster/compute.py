@@ -11,7 +11,7 @@ import numpy as np
 
 from orogen.gpu import Buffer, FrameTimer, Gpu
 from orogen.lod.contract import Patches
-from orogen.lod.mesh import MESHLET
+from orogen.lod.mesh import MESHLET_TRIANGLES, MESHLET_VERTICES
 from orogen.raster.surface import Surface
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
 
@@ -32,6 +32,10 @@ _ARGUMENTS = 20
 _BATCH = 16 + 24 * MAX_DRAWS
 _PIECE = 48
 _TILE = 8
+_SPLITTERS, _DRAWERS = 256, 1024
+"""Workgroups that cut large triangles into pieces, and that draw the blocks of these."""
+_GROUP = 128
+"""Invocations of a workgroup that draws triangles, and triangles of one without meshlets."""
 
 
 def can_rasterize(gpu: Gpu) -> bool:
@@ -53,18 +57,14 @@ class ComputeRasterizer:
             "triangles", {0: read, 1: read, 2: storage, 3: storage, 4: storage, 5: storage, 6: storage}
         )
         self._show_layout = gpu.layout("visibility", {0: read, 1: read, 2: read})
-        self._queue_layout = gpu.layout("queues", {0: storage, 1: storage, 2: storage})
         self._no_layout = gpu.layout("nothing", {})
         self._no_group = gpu.bind("nothing", self._no_layout, {})
         self._pipelines: dict[tuple[Any, ...], Any] = {}
         self._groups: dict[tuple[Any, ...], tuple[Any, Any, Any, Buffer]] = {}
         self._arguments = gpu.buffer("arguments", _ARGUMENTS * MAX_DRAWS * MAX_BATCHES, "STORAGE|COPY_DST", "raster")
-        self._next = gpu.buffer("workgroups", 4, "STORAGE|COPY_DST", "raster")
         self._nothing = gpu.buffer("no list", 16, "STORAGE", "raster")
-        # how many are in each queue, and the most that were in this picture
-        self._queues = gpu.buffer("queues", 24, "STORAGE|COPY_DST|COPY_SRC", "raster")
-        self._split_groups = gpu.buffer("split groups", 12, "STORAGE|INDIRECT", "raster")
-        self._block_groups = gpu.buffer("block groups", 12, "STORAGE|INDIRECT", "raster")
+        # how many are in each queue, the most that were in this picture, and the number of the next workgroup
+        self._queues = gpu.buffer("queues", 28, "STORAGE|COPY_DST|COPY_SRC", "raster")
         self._visibility: Buffer | None = None
         self._make_room(ROOM)
 
@@ -74,14 +74,6 @@ class ComputeRasterizer:
         self._large = gpu.buffer("large triangles", 4 * large, "STORAGE", "raster")
         self._pieces = gpu.buffer("pieces", _PIECE * pieces, "STORAGE", "raster")
         self._blocks = gpu.buffer("blocks", 8 * blocks, "STORAGE", "raster")
-        shader = gpu.shader(
-            "queues", FOLDER / "prepare_queue.wgsl", constants={"MOST_LARGE": large, "MOST_BLOCKS": blocks}
-        )
-        self._prepare_split = gpu.compute("split groups", shader, "prepare_split", [self._queue_layout])
-        self._prepare_blocks = gpu.compute("block groups", shader, "prepare_blocks", [self._queue_layout])
-        self._queue_group = gpu.bind(
-            "queues", self._queue_layout, {0: self._queues, 1: self._split_groups, 2: self._block_groups}
-        )
         self._groups.clear()
 
     def can_draw(self, draws: Sequence[Patches]) -> bool:
@@ -111,7 +103,7 @@ class ComputeRasterizer:
 
     def incomplete(self) -> bool:
         """Whether the queues were too small for the latest picture; makes them larger. Waits for the GPU."""
-        counts = self._clipmap.gpu.read_buffer(self._queues).result().view(np.uint32)[3:].tolist()
+        counts = self._clipmap.gpu.read_buffer(self._queues).result().view(np.uint32)[3:6].tolist()
         if all(count <= room for count, room in zip(counts, self._room, strict=True)):
             return False
         large, pieces, blocks = (max(room, 2 * count) for room, count in zip(self._room, counts, strict=True))
@@ -128,7 +120,7 @@ class ComputeRasterizer:
             self._visibility = self._clipmap.gpu.buffer("visibility", size, "STORAGE|COPY_DST", "surface")
             self._groups.clear()
         if clear:
-            for buffer in (self._visibility, self._next, self._queues):
+            for buffer in (self._visibility, self._queues):
                 encoder.clear_buffer(buffer.raw)
 
     def _draw(self, encoder: Any, timer: FrameTimer, batch: list[Patches], number: int, view: ClipmapView) -> None:
@@ -136,13 +128,13 @@ class ComputeRasterizer:
         first = MAX_DRAWS * number
         # few pipelines for any number of draws: the rest of the next power of two draws nothing
         room = 1 << (len(batch) - 1).bit_length()
-        encoder.clear_buffer(self._arguments.raw, _ARGUMENTS * first, _ARGUMENTS * room)
+        if room > len(batch):
+            encoder.clear_buffer(self._arguments.raw, _ARGUMENTS * first, _ARGUMENTS * room)
         for place, each in enumerate(batch, start=first):
             length = 16 if _kind(each) in ("lists", "strips") else _ARGUMENTS
             encoder.copy_buffer_to_buffer(
                 each.indirect.raw, each.offset, self._arguments.raw, _ARGUMENTS * place, length
             )
-        encoder.clear_buffer(self._queues.raw, 0, 12)
         prepare, triangles, _, groups = self._bound(draw, number)
         own = draw.group or self._no_group
         run = timer.compute_pass(encoder, "raster")
@@ -154,18 +146,10 @@ class ComputeRasterizer:
         run.set_bind_group(1, own)
         run.set_bind_group(2, triangles)
         run.dispatch_workgroups_indirect(groups.raw, 0)
-        for preparation, kernel, arguments in (
-            (self._prepare_split, "split_large", self._split_groups),
-            (self._prepare_blocks, "draw_blocks", self._block_groups),
-        ):
-            run.set_pipeline(preparation)
-            run.set_bind_group(0, self._queue_group)
-            run.dispatch_workgroups(1)
+        # how much there is to do is known to the GPU alone: workgroups go on until all is done
+        for kernel, count in (("split_large", _SPLITTERS), ("draw_blocks", _DRAWERS)):
             run.set_pipeline(self._pipeline(draw, kernel))
-            run.set_bind_group(0, view.bind_group)
-            run.set_bind_group(1, own)
-            run.set_bind_group(2, triangles)
-            run.dispatch_workgroups_indirect(arguments.raw, 0)
+            run.dispatch_workgroups(count)
         run.end()
 
     def _show(
@@ -191,7 +175,7 @@ class ComputeRasterizer:
             batch = gpu.buffer("batch", _BATCH, "STORAGE", "raster")
             groups = gpu.buffer("batch groups", 12, "STORAGE|INDIRECT", "raster")
             lists = draw.index.lists if draw.index else self._nothing
-            prepare = {0: self._arguments, 1: lists, 2: batch, 3: groups, 4: self._next}
+            prepare = {0: self._arguments, 1: lists, 2: batch, 3: groups, 4: self._queues}
             shown = {0: batch, 1: triangles, 2: self._visibility}
             drawn = {**shown, 3: self._queues, 4: self._large, 5: self._pieces, 6: self._blocks}
             self._groups[key] = (
@@ -214,7 +198,7 @@ class ComputeRasterizer:
     def _pipeline(self, draw: Patches, kernel: str) -> Any:
         key = (kernel, *_key(draw))
         if key not in self._pipelines:
-            self._pipelines[key] = self._compile(draw, kernel, [self._draw_layout])
+            self._pipelines[key] = self._compile(draw, kernel, [self._draw_layout], WITH_LEVELS=False)
         return self._pipelines[key]
 
     def _show_pipeline(self, draw: Patches, first: bool, edges: bool) -> Any:
@@ -244,10 +228,15 @@ class ComputeRasterizer:
         return gpu.compute(kernel, shader, kernel, [self._clipmap.layout, module.layout or self._no_layout, *layouts])
 
     def _constants(self, kind: str) -> dict[str, int]:
+        meshes = kind == "meshes"
         return {
             "RASTER_KIND": _KINDS.index(kind),
-            "RASTER_MESHLET": MESHLET,
-            "RASTER_VERTICES": MESHLET if kind == "meshes" else 3 * MESHLET,
+            "RASTER_GROUP": _GROUP,
+            "RASTER_TRIANGLES": MESHLET_TRIANGLES if meshes else _GROUP,
+            "RASTER_VERTICES": MESHLET_VERTICES if meshes else 3 * _GROUP,
+            "RASTER_SPLITTERS": 64 * _SPLITTERS,
+            "RASTER_DRAWERS": _DRAWERS,
+            "RASTER_BITS": MESHLET_TRIANGLES.bit_length() - 1,
             "RASTER_MAX_DRAWS": MAX_DRAWS,
         }
 

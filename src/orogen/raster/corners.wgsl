@@ -7,8 +7,10 @@ const RASTER_MESHES = 0u;                        // meshlets, whose vertices are
 const RASTER_LISTS = 1u;                         // triangle lists and strips without an index list: blocks of triangles
 const RASTER_STRIPS = 2u;
 const RASTER_KIND = #{RASTER_KIND}u;
-const RASTER_MESHLET = #{RASTER_MESHLET}u;
-const RASTER_MESHLET_WORDS = 2u + 2u * RASTER_MESHLET;
+const RASTER_TRIANGLES = #{RASTER_TRIANGLES}u;         // of a workgroup, at most
+const RASTER_VERTICES = #{RASTER_VERTICES}u;           // that it computes
+const RASTER_MESHLET_WORDS = 2u + RASTER_VERTICES + RASTER_TRIANGLES;
+const RASTER_BITS = #{RASTER_BITS}u;                   // of a triangle's number, below those of its workgroup
 const RASTER_MAX_DRAWS = #{RASTER_MAX_DRAWS}u;
 const RASTER_SUBPIXELS = 256.0;                  // positions are rounded to 1/256 pixel, as hardware does
 const RASTER_GUARD = 131072.0;                   // pixels from the picture's corner that fixed point has room for
@@ -54,8 +56,8 @@ fn raster_place_of(number: u32) -> RasterPlace {
         let start = (record.first_meshlet + group) * RASTER_MESHLET_WORDS;
         return RasterPlace(start, 0u, raster_triangles[start + 1u], instance, record.base_vertex);
     }
-    let first = group * RASTER_MESHLET;
-    return RasterPlace(0u, first, min(RASTER_MESHLET, record.triangles - first), instance, record.base_vertex);
+    let first = group * RASTER_TRIANGLES;
+    return RasterPlace(0u, first, min(RASTER_TRIANGLES, record.triangles - first), instance, record.base_vertex);
 }
 
 // Numbers of a triangle's vertices, the first of which tells id and levels.
@@ -74,8 +76,8 @@ fn raster_corners_of(place: RasterPlace, triangle: u32) -> vec3<u32> {
 
 // Places of a triangle's corners among the meshlet's vertices.
 fn raster_locals_of(place: RasterPlace, triangle: u32) -> vec3<u32> {
-    let packed = raster_triangles[place.start + 2u + RASTER_MESHLET + triangle];
-    return vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+    let packed = raster_triangles[place.start + 2u + RASTER_VERTICES + triangle];
+    return vec3<u32>(packed & 1023u, (packed >> 10u) & 1023u, packed >> 20u);
 }
 
 // Clip coordinates of a vertex.

@@ -2,14 +2,22 @@
 // Pieces of large triangles, a block of pixels per workgroup.
 
 const RASTER_SIDE = 8u;           // invocations along a block's side
-const RASTER_ROW = 4096u;         // workgroups along the first axis of the dispatch
+const RASTER_DRAWERS = #{RASTER_DRAWERS}u;   // workgroups of the dispatch
 
 @compute @workgroup_size(RASTER_SIDE, RASTER_SIDE)
 fn draw_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
-    let number = group.y * RASTER_ROW + group.x;
-    if (number >= min(atomicLoad(&raster_queues.blocks), arrayLength(&raster_blocks))) { return; }
-    let block = raster_blocks[number];
-    let first = vec2<u32>(block.place & 0xffffu, block.place >> 16u) * u32(RASTER_BLOCK) + local.xy;
+    let blocks = atomicLoad(&raster_queues.blocks);
+    if (group.x == 0u && all(local.xy == vec2<u32>(0u))) {
+        atomicMax(&raster_queues.most_pieces, atomicLoad(&raster_queues.pieces));
+        atomicMax(&raster_queues.most_blocks, blocks);
+    }
+    let count = min(blocks, arrayLength(&raster_blocks));
+    for (var i = group.x; i < count; i += RASTER_DRAWERS) { raster_draw_block(raster_blocks[i], local.xy); }
+}
+
+// The pixels of one invocation.
+fn raster_draw_block(block: RasterBlock, local: vec2<u32>) {
+    let first = vec2<u32>(block.place & 0xffffu, block.place >> 16u) * u32(RASTER_BLOCK) + local;
     let piece = raster_pieces[block.piece];
     let a = piece.positions[0];
     let b = piece.positions[1];

@@ -5,31 +5,31 @@
 
 const RASTER_SMALL = 16;          // pixels along a side up to which a triangle is drawn by one invocation
 const RASTER_ROW = 4096u;         // workgroups along the first axis of the dispatch
-const RASTER_VERTICES = #{RASTER_VERTICES}u;   // that a workgroup computes
+const RASTER_GROUP = #{RASTER_GROUP}u;
 
 var<workgroup> raster_positions: array<vec2<i32>, RASTER_VERTICES>;
 var<workgroup> raster_places: array<vec3<f32>, RASTER_VERTICES>;       // pixels and reverse-z depth
 var<workgroup> raster_codes: array<u32, RASTER_VERTICES>;
 
-@compute @workgroup_size(RASTER_MESHLET)
+@compute @workgroup_size(RASTER_GROUP)
 fn draw_meshlets(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let within = group.y * RASTER_ROW + group.x;
     if (within >= raster_batch.count) { return; }
     let number = raster_batch.first + within;
     let place = raster_place_of(number);
     if (RASTER_KIND == RASTER_MESHES) {
-        if (local < raster_triangles[place.start]) {
-            raster_keep(local, lod_vertex(raster_triangles[place.start + 2u + local] + place.base_vertex, place.instance));
+        let vertices = raster_triangles[place.start];
+        for (var i = local; i < vertices; i += RASTER_GROUP) {
+            raster_keep(i, lod_vertex(raster_triangles[place.start + 2u + i] + place.base_vertex, place.instance));
         }
         workgroupBarrier();
+        for (var i = local; i < place.count; i += RASTER_GROUP) {
+            raster_draw_triangle(raster_locals_of(place, i), (number << RASTER_BITS) | i);
+        }
     } else if (local < place.count) {
         let corners = raster_corners_of(place, local);
         for (var i = 0u; i < 3u; i += 1u) { raster_keep(3u * local + i, lod_vertex(corners[i], place.instance)); }
-    }
-    if (local < place.count) {
-        var corners = 3u * local + vec3<u32>(0u, 1u, 2u);
-        if (RASTER_KIND == RASTER_MESHES) { corners = raster_locals_of(place, local); }
-        raster_draw_triangle(corners, (number << 7u) | local);
+        raster_draw_triangle(3u * local + vec3<u32>(0u, 1u, 2u), (number << RASTER_BITS) | local);
     }
 }
 

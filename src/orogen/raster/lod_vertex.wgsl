@@ -1,4 +1,4 @@
-#include frame.wgsl
+#include clipmap.wgsl
 
 struct LodVertex {
     point: Point,
@@ -7,4 +7,12 @@ struct LodVertex {
     id: u32,
     level: u32,          // of the data
     tile_level: u32,     // of the geometry
+}
+
+const WITH_LEVELS = #{WITH_LEVELS};    // false where only the places of vertices are asked for: levels take time to find
+
+// Level of the data that a point is drawn from.
+fn drawn_level(p: Point) -> u32 {
+    if (!WITH_LEVELS) { return 0u; }
+    return resident_level(p, u32(lod_at(p)));
 }

@@ -38,8 +38,8 @@ fn raster_clip_distance(clip: vec4<f32>, plane: u32) -> f32 {
 
 // Sutherland and Hodgman 1974. A cut is computed from its inner end, so that triangles on both sides of an edge agree.
 fn raster_clipped(triangle: u32) -> RasterPolygon {
-    let place = raster_place_of(triangle >> 7u);
-    let corners = raster_corners_of(place, triangle & 127u);
+    let place = raster_place_of(triangle >> RASTER_BITS);
+    let corners = raster_corners_of(place, triangle & ((1u << RASTER_BITS) - 1u));
     var polygon: RasterPolygon;
     polygon.count = 3u;
     for (var i = 0u; i < 3u; i += 1u) {

@@ -16,7 +16,7 @@ fn show_visibility(@builtin(global_invocation_id) id: vec3<u32>) {
     let seen = raster_visibility[id.y * frame.size.x + id.x];
     let depth = bitcast<f32>(u32(seen >> 32u));
     let triangle = u32(seen & 0xfffffffflu);
-    let number = triangle >> 7u;
+    let number = triangle >> RASTER_BITS;
     let own = depth > 0.0 && number >= raster_batch.first && number < raster_batch.first + raster_batch.count;
     if (!own) {
         if (RASTER_FIRST && depth == 0.0) {
@@ -27,7 +27,7 @@ fn show_visibility(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let place = raster_place_of(number);
-    let corners = raster_corners_of(place, triangle & 127u);
+    let corners = raster_corners_of(place, triangle & ((1u << RASTER_BITS) - 1u));
     let v = lod_vertex(corners.x, place.instance);
     var edge = 16.0;
     if (RASTER_EDGES) { edge = raster_edge_distance(place.instance, corners, vec2<f32>(id.xy) + 0.5); }

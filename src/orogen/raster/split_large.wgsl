@@ -1,10 +1,18 @@
 #include polygon.wgsl
 // Clips large triangles, cuts them into pieces, and lists the blocks of pixels that each piece reaches.
 
+const RASTER_SPLITTERS = #{RASTER_SPLITTERS}u;   // invocations of the dispatch
+
 @compute @workgroup_size(64)
 fn split_large(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= min(atomicLoad(&raster_queues.large), arrayLength(&raster_large))) { return; }
-    let polygon = raster_clipped(raster_large[id.x]);
+    let large = atomicLoad(&raster_queues.large);
+    if (id.x == 0u) { atomicMax(&raster_queues.most_large, large); }
+    let count = min(large, arrayLength(&raster_large));
+    for (var i = id.x; i < count; i += RASTER_SPLITTERS) { raster_split(raster_large[i]); }
+}
+
+fn raster_split(triangle: u32) {
+    let polygon = raster_clipped(triangle);
     // as for small ones: see RasterDepthPlane
     var low = 1.0;
     var high = 0.0;
@@ -16,7 +24,7 @@ fn split_large(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 2u; i < polygon.count; i += 1u) {
         var piece: RasterPiece;
         piece.depth = polygon.depth;
-        piece.triangle = raster_large[id.x];
+        piece.triangle = triangle;
         piece.low = max(2.0 * low - high, 1e-30);
         piece.high = min(2.0 * high - low, 1.0);
         for (var k = 0u; k < 3u; k += 1u) {

@@ -7,7 +7,10 @@ fn raster_show(pixel: vec2<u32>, depth: f32, triangle: u32) {
 }
 
 // Numbers of triangles that are drawn block by block, the pieces they are cut into and the blocks of those; what finds no
-// room is counted all the same.
-struct RasterQueues { large: atomic<u32>, pieces: atomic<u32>, blocks: atomic<u32> }
+// room is counted all the same. Then the most that were in this picture, and the number of the next batch's first workgroup.
+struct RasterQueues {
+    large: atomic<u32>, pieces: atomic<u32>, blocks: atomic<u32>,
+    most_large: atomic<u32>, most_pieces: atomic<u32>, most_blocks: atomic<u32>, next: u32,
+}
 @group(2) @binding(3) var<storage, read_write> raster_queues: RasterQueues;
 @group(2) @binding(4) var<storage, read_write> raster_large: array<u32>;

@@ -21,7 +21,7 @@ from orogen.source.scale import parse_crs
 from orogen.source.survey import fits_memory, survey
 from orogen.source.turn import full_turn, turned
 from orogen.source.values import Values
-from orogen.source.vertical import Vertical, metres_per_unit, vertical_reference, vertical_unit
+from orogen.source.vertical import Vertical, metres_per_unit, same_datum, vertical_reference, vertical_unit
 from orogen.source.warp import WarpedSource, warped_source
 
 log = logging.getLogger("orogen")
@@ -142,7 +142,7 @@ def _warped(file: RasterFile, source: HeightSource, crs: Any, packed: bool) -> H
 def vertical_of(own: Any, wanted: Any, path: str) -> Vertical:
     """The vertical reference of a file, or the one given for a file that names none."""
     vertical, other = vertical_reference(own), vertical_reference(wanted)
-    if vertical.name is not None and other.name is not None and vertical != other:
+    if vertical.name is not None and other.name is not None and not same_datum(vertical.name, other.name):
         raise SourceError(
             f"{path}: its heights refer to {vertical.name!r}, not to {other.name!r}; heights are never shifted: "
             "give crs= without a vertical part, or convert the file (gdalwarp)"

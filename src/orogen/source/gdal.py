@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 # GDAL takes 5 % of the machine's memory for its block cache unless told before its first read.
 os.environ.setdefault("GDAL_CACHEMAX", "64")
@@ -21,6 +21,9 @@ from rasterio.errors import RasterioError
 
 GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, ValueError, MemoryError)
 """What rasterio raises when it cannot open, read or transform."""
+
+MAY_HOLD_JPEG2000 = {"JP2OpenJPEG", "VRT", "NITF", "GRIB", "PDF"}
+"""Drivers, as those of warped rasters, below which JPEG 2000 may lie."""
 
 _heard = threading.local()
 
@@ -48,11 +51,15 @@ def quietly() -> Iterator[None]:
 
 
 @contextmanager
-def strictly() -> Iterator[None]:
-    """ValueError where GDAL only warns that it read garbage: a damaged JPEG leaves part of the pixels unset."""
+def strictly(driver: str) -> Iterator[None]:
+    """ValueError where GDAL only mutters that it read garbage: a damaged JPEG leaves part of the pixels unset.
+
+    What JPEG 2000 tiles lack is lost among GDAL's own threads, so that it gets one: files are read by several of ours.
+    """
     _heard.damage = None
     try:
-        yield
+        with rasterio.Env(GDAL_NUM_THREADS="1") if driver in MAY_HOLD_JPEG2000 else nullcontext():
+            yield
         if _heard.damage:
             raise ValueError(_heard.damage)
     finally:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.errors import NoSampleError
+from orogen.errors import NoSampleError, SourceError
 from orogen.grid import Grid
 from orogen.source import files
 from orogen.source.contract import Kind, Source
@@ -144,9 +144,14 @@ class MosaicSource(Facts):
 
     def _opened(self, part: Part) -> Source | None:
         if isinstance(self.options, HeightOptions):
-            return files.open_height(part.data, replace(self.options, crs=part.reference))
-        assert self.heights is not None, "images are draped over heights"
-        return files.open_colour(part.data, self.heights, self.options)
+            source = files.open_height(part.data, replace(self.options, crs=part.reference))
+        else:
+            assert self.heights is not None, "images are draped over heights"
+            source = files.open_colour(part.data, self.heights, self.options)
+        if part.fingerprint and not (source.fingerprint or "").startswith(part.fingerprint):
+            source.close()
+            raise SourceError(f"{part.name}: changed since the mosaic was opened; open it again")
+        return source
 
     def _held(self) -> int:
         shapes = [source.grid.shape for source in self._open.values() if source is not None]

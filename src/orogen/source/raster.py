@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import re
+import stat
 import threading
 import warnings
 from collections.abc import Iterator
@@ -24,9 +26,11 @@ from rasterio.vrt import WarpedVRT
 
 from orogen.errors import SourceError
 from orogen.source.gdal import GDAL_ERRORS, cause, strictly
+from orogen.source.hdf5 import check_hdf5
 from orogen.source.jpeg2000 import check_jpeg2000
 from orogen.source.netcdf import check_netcdf
 from orogen.source.objects import is_remote, shown
+from orogen.source.vrt import check_vrt
 
 SEQUENTIAL = {"PNG", "JPEG", "GIF"}
 """Formats that can only be read from their start."""
@@ -36,10 +40,18 @@ LARGEST_BLOCK = 64 << 20
 """Bytes of a decoded block that are read whatever the size of the file."""
 PACKED = 32
 """Bytes of a decoded block, beyond that, for each byte of the file."""
+ARCHIVES = {
+    (".zip",): "zip://{}!dem.tif, by the name of the raster in it",
+    (".tar", ".tgz", ".tar.gz"): "tar://{}!dem.tif, by the name of the raster in it",
+    (".gz",): "gzip://{}",
+}
+"""How to open rasters in archives, by the ends of their names; the first that fits."""
 NETWORK = ("/vsicurl", "/vsis3", "/vsigs", "/vsiaz", "/vsiadls", "/vsioss", "/vsiswift", "/vsihdfs", "/vsiwebhdfs")
 """How GDAL's names of remote files begin."""
 REMOTE_BLOCK = 128 << 20
 """Bytes of a decoded block of a file whose size is not known."""
+NAMED = re.compile(r'(?:NETCDF:|HDF5:|vrt://|file://)(?:"([^"]+)"|(.*?)(?:[:?].*)?$)', re.IGNORECASE)
+"""Names, or names of parts, of files that are checked before they are opened."""
 NO_INTEGER = -3e38
 """A value that samples of no integer type have."""
 
@@ -74,19 +86,27 @@ class RasterFile:
     """A dataset of the user's that must not vanish while this one is read, as those in memory would."""
     _idle: list[Any] = field(default_factory=list, init=False, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
+    _version: tuple[int, int] | None = field(default=None, init=False, repr=False)
+    """What `version` said of a local file when it was first opened."""
 
     @contextmanager
     def handle(self) -> Iterator[Any]:
-        """A dataset that this thread alone uses meanwhile; errors of GDAL become SourceError."""
+        """A dataset that this thread alone uses meanwhile; errors of GDAL become SourceError, and so does a change of
+        the file since it was first opened: blocks of two versions would be mixed.
+        """
         with self._lock:
             dataset = self._idle.pop() if self._idle else None
+            self._version = self._version or version(self.path)
         try:
             if dataset is None:
                 dataset = self._open()
             yield dataset
         except GDAL_ERRORS as error:
-            raise self.failure(error) from error
+            raise self._stale() or self.failure(error) from error
         else:
+            if stale := self._stale():
+                dataset.close()
+                raise stale
             with self._lock:
                 self._idle.append(dataset)
 
@@ -101,13 +121,22 @@ class RasterFile:
             dataset = rasterio.open(name, sharing=False, opener=opener, **level)
             return dataset if self.warp is None else _warped(dataset, self.warp)
 
+    def _stale(self) -> SourceError | None:
+        """What to raise where a local file is another one than at first; one that is gone is still open here."""
+        if self._version is None or version(self.path) in (None, self._version):
+            return None
+        return SourceError(f"{self.path}: changed on disk since it was opened; open it again")
+
     def failure(self, error: BaseException) -> SourceError:
         """What to raise for an error of GDAL's."""
         if isinstance(error, SourceError):
             return error
-        packed = self.path.lower().endswith((".zip", ".tar", ".tgz", ".gz"))
-        hint = f"; of an archive, name the raster in it: zip://{self.path}!dem.tif" if packed else ""
-        return SourceError(f"{self.path}: cannot be read as a raster: {cause(error)}{hint}")
+        hint = ""
+        for suffixes, name in ARCHIVES.items():
+            if self.path.lower().endswith(suffixes) and "://" not in self.path:
+                hint = f"; open it as {name.format(self.path)}"
+                break
+        return SourceError(f"{self.path}: cannot be read as a raster: {cause(error).rstrip('.')}{hint}")
 
     def overviews(self) -> list[tuple[RasterFile, tuple[int, int], tuple[int, int]]]:
         """The overviews in the file or beside it, the finest first, with their shapes and blocks; none if warped."""
@@ -131,17 +160,17 @@ class RasterFile:
         self, bands: int | list[int], rows: slice, cols: slice, shape: tuple[int, int] | None = None
     ) -> NDArray[Any]:
         """Bands of a window, (rows, columns) or (bands, rows, columns), decimated to `shape` where given."""
-        with self.handle() as dataset, strictly():
+        with self.handle() as dataset, strictly(dataset.driver):
             return dataset.read(bands, **_window(rows, cols, shape, bands))
 
     def alpha(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """(rows, columns): 0 where mask, alpha or nodata of the file say that there is no data, 255 where opaque."""
-        with self.handle() as dataset, strictly():
+        with self.handle() as dataset, strictly(dataset.driver):
             return dataset.dataset_mask(**_window(rows, cols, shape, 1))
 
     def mask(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """(rows, columns): 0 where the first band's mask or alpha says that there is no data."""
-        with self.handle() as dataset, strictly():
+        with self.handle() as dataset, strictly(dataset.driver):
             return dataset.read_masks(1, **_window(rows, cols, shape, 1))
 
     def close(self) -> None:
@@ -197,9 +226,12 @@ def _checked(text: str) -> str:
     if not text or "\0" in text:
         raise SourceError(f"{text!r}: expected the path of a raster")
     if not is_local(text):
+        if (named := NAMED.match(text)) and os.path.isfile(path := named[1] or named[2]):
+            _check_headers(path)
         return text
     if not os.path.exists(text):
-        raise SourceError(f"{text}: no such file; check the path")
+        what = "a link that leads to no file" if os.path.islink(text) else "no such file"
+        raise SourceError(f"{text}: {what}; check the path")
     if os.path.isdir(text):
         if not os.listdir(text):
             raise SourceError(f"{text}: an empty folder, expected a raster file")
@@ -208,9 +240,14 @@ def _checked(text: str) -> str:
     elif os.path.getsize(text) == 0:
         raise SourceError(f"{text}: an empty file of 0 bytes, expected a raster")
     else:
-        check_netcdf(text)
-        check_jpeg2000(text)
+        _check_headers(text)
     return os.path.abspath(text)
+
+
+def _check_headers(path: str) -> None:
+    """SourceError where a library below GDAL would crash, hang or show garbage rather than say what is damaged."""
+    for check in (check_netcdf, check_hdf5, check_jpeg2000, check_vrt):
+        check(path)
 
 
 def check_block(dataset: Any, name: str) -> None:
@@ -280,6 +317,15 @@ def _part_is_direct(path: str) -> bool:
             return is_direct(dataset)
     except SourceError:
         return False
+
+
+def version(path: str) -> tuple[int, int] | None:
+    """Size and time of change (ns) of a local file; None of what is none."""
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else None
 
 
 def file_stamp(dataset: Any) -> str:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("orogen")
 
+AXIS = re.compile(r"\s+(?:height|depth)(?:\s*\((?:m|cm|ft\w*)\))?$", re.IGNORECASE)
+"""What EPSG's names of references tell of direction and unit, behind the datum: "NAVD88 depth (ftUS)"."""
+
 
 @dataclass(frozen=True)
 class Vertical:
@@ -61,13 +64,18 @@ def vertical_unit(given: str | None, band: str | None, vertical: str | None, nam
     return "metre"
 
 
+def same_datum(one: str, other: str) -> bool:
+    """Whether two references, by their names, count from the same surface, in whatever unit and direction."""
+    return AXIS.sub("", one) == AXIS.sub("", other)
+
+
 def require_alike(sources: Iterable[Source]) -> None:
-    """SourceError where two sources of heights name different vertical references; one that names none fits any."""
+    """SourceError where two sources of heights name different vertical datums; one that names none fits any."""
     named: Source | None = None
     for source in sources:
         if source.vertical_crs is None:
             continue
-        if named is not None and source.vertical_crs != named.vertical_crs:
+        if named is not None and not same_datum(source.vertical_crs, named.vertical_crs or ""):
             raise SourceError(
                 f"{source.name}: its heights refer to {source.vertical_crs!r}, those of {named.name} to "
                 f"{named.vertical_crs!r}; heights are never shifted between references: convert one of them (gdalwarp)"

@@ -110,10 +110,11 @@ def frame_block(frame: Frame) -> bytes:
     camera, fixed = frame.camera, _fixed(frame.grid)
     right, up, forward = camera.axes
     half_x, half_y = frame.half_extent
-    x, y, z, w = frame.clip_rows
+    (x0, x1, x2, x3), (y0, y1, y2, y3), (z0, z1, z2, z3), (w0, w1, w2, w3) = frame.clip_rows
+    sides = frame.plane_rows
     eye_height, eye_rest = frame.eye_height
     return _PACKED.pack(
-        *(value for column in zip(x, y, z, w, strict=True) for value in column),
+        x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3,
         half_x * right[0], half_x * right[1], half_x * right[2], 0.0,
         half_y * up[0], half_y * up[1], half_y * up[2], 0.0,
         *forward, camera.orthographic is not None,
@@ -125,7 +126,7 @@ def frame_block(frame: Frame) -> bytes:
         *(frame.depth_range if camera.orthographic else (0.0, 0.0)), *frame.height_range,
         frame.ground_height * frame.exaggeration - camera.z, fixed.spacing, frame.subtexel_bits, frame.slice,
         *fixed.extent,
-        *frame.planes().ravel().tolist(),
+        *sides[0], *sides[1], *sides[2], *sides[3], *sides[4],
         frame.pixels_per_radian(frame.lod),
         camera.orthographic / frame.size[1] if camera.orthographic else 0.0,
         eye_rest,

@@ -74,7 +74,7 @@ class Clipmap:
         self.colors = self.layers[1] if colors is not None else None
         self.constants = {
             "NODE_BITS": s.node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, "COLOR_BORDER": COLOR_BORDER,
-            "MAX_ANISOTROPY": MAX_ANISOTROPY, "COVERED": self.heights.covered, "ANY_HIT": False,
+            "MAX_ANISOTROPY": MAX_ANISOTROPY, "COVERED": self.heights.covered, "ANY_HIT": False, "WITH_LEVELS": True,
             **self.heights.format.constants,
         }  # fmt: skip
         """Constants of clipmap.wgsl."""
@@ -294,7 +294,7 @@ class ClipmapView:
 
     def _nodes_for(self, frame: Frame) -> list[list[NodeKey]]:
         settings = self.clipmap.settings
-        load = min(settings.load_distance_for(frame.size, frame.lod_fov), 1e15)
+        load = min(settings.load_distance_for(frame.texel_size, frame.lod_fov), 1e15)
         low, high = self.clipmap.height_range
 
         def everywhere(_: int, rows: NDArray, __: NDArray) -> tuple[NDArray, NDArray]:
@@ -380,7 +380,7 @@ class ClipmapView:
         eye = np.array(_lod_texel(frame, grid.grid)) - 0.5
         away = np.maximum(np.abs(low - eye), np.abs(high - eye)) @ np.linalg.norm(grid.grid.metres, axis=0)
         above = abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
-        reach = settings.view_distance_for(frame.size, frame.lod_fov) * grid.node_size * grid.grid.spacing
+        reach = settings.view_distance_for(frame.texel_size, frame.lod_fov) * grid.node_size * grid.grid.spacing
         level = np.floor(np.log2(np.maximum(2 * np.hypot(away, above) / reach, 1))).astype(np.int64)
         return np.minimum(level + 1, grid.level_count - 1) * (reach < 1e30)
 
@@ -414,7 +414,7 @@ class ClipmapView:
 
     def _size_for(self, frame: Frame) -> None:
         """Make tables of the size that pictures of this size and angle need."""
-        sized_for = frame.size, frame.lod_fov
+        sized_for = frame.texel_size, frame.lod_fov
         if sized_for != self._sized_for:
             settings, self._sized_for = self.clipmap.settings, None
             load = min(settings.load_distance_for(*sized_for), 1e6)

@@ -82,7 +82,7 @@ class ClipmapSettings:
         """Logarithm of node_size."""
         return self.node_size.bit_length() - 1
 
-    def view_distance_for(self, size: tuple[int, int], fov: float = REFERENCE_FOV) -> float:
+    def view_distance_for(self, size: tuple[float, float], fov: float = REFERENCE_FOV) -> float:
         """view_distance for a picture of (width, height) pixels and a vertical angle of view in degrees."""
         if self.view_distance is not None:
             return self.view_distance
@@ -90,6 +90,6 @@ class ClipmapSettings:
         zoom = math.tan(math.radians(REFERENCE_FOV) / 2) / math.tan(math.radians(fov) / 2)
         return max(size) / self.node_size * min(zoom, MAX_ZOOM)
 
-    def load_distance_for(self, size: tuple[int, int], fov: float = REFERENCE_FOV) -> float:
+    def load_distance_for(self, size: tuple[float, float], fov: float = REFERENCE_FOV) -> float:
         """load_distance for a picture of (width, height) pixels and a vertical angle of view in degrees."""
         return max(self.load_distance or 0.0, self.view_distance_for(size, fov))

@@ -34,6 +34,7 @@ def frame_camera(
     bounds: tuple[float, float, float, float] | None = None,
     exaggeration: float = 1.0,
     aspect: float = 16 / 9,
+    covered: float = 0.0,
     height_at: Callable[[float, float], float] | None = None,
 ) -> Camera:
     """A camera that shows the data of `grid` between the heights `height_range` (metres, before exaggeration).
@@ -46,9 +47,10 @@ def frame_camera(
 
     `heading` is in degrees clockwise from grid north, `pitch` in degrees above the horizon, `fov` the vertical angle
     of view in degrees. An orthographic camera shows, at the looked-at point, what the perspective one would.
-    `bounds` is (left, bottom, right, top) in the data's CRS, `aspect` width / height of the picture. `height_at` gives
-    the height in metres at (x, y), NaN where there is none: that of the looked-at point, and the range within
-    `bounds`; without it the ground is at the middle of `height_range`.
+    `bounds` is (left, bottom, right, top) in the data's CRS, `aspect` width / height of the picture, `covered` the part
+    of its width, from 0 to 0.9, that something hides on the left: what is to fill the picture fills the rest.
+    `height_at` gives the height in metres at (x, y), NaN where there is none: that of the looked-at point and the range
+    within `bounds`; without it the ground is at the middle of `height_range`.
 
     Raises SettingsError, naming the option, for values that are not finite or out of range.
     """
@@ -56,19 +58,21 @@ def frame_camera(
         if place is not None and np.shape(place) != (count,):
             raise SettingsError(f"{name}: expected {count} numbers, got {place}")
     _check_finite(look_at=look_at, distance=distance, heading=heading, pitch=pitch, fov=fov, bounds=bounds)
-    _check_finite(exaggeration=exaggeration, aspect=aspect, height_range=height_range)
+    _check_finite(exaggeration=exaggeration, aspect=aspect, covered=covered, height_range=height_range)
     if distance is not None and distance <= 0:
         raise SettingsError(f"distance: expected more than 0 metres, got {distance:g}")
     for name, factor in (("exaggeration", exaggeration), ("aspect", aspect)):
         if factor <= 0:
             raise SettingsError(f"{name}: expected more than 0, got {factor:g}")
+    if not 0 <= covered <= 0.9:
+        raise SettingsError(f"covered: expected 0 to 0.9 of the width, got {covered:g}")
     flat = _outline(grid, bounds)
     x, y = (float(v) for v in flat.mean(axis=0))
     camera = Camera(x, y, 0.0, heading=heading, pitch=pitch, fov=fov)
     low, high = _heights_within(bounds, height_range, height_at)
     ground = (flat - (x, y)) * grid.ground_scale
     corners = np.array([(e, n, z * exaggeration) for e, n in ground for z in (low, high)])
-    eye, depth = fit(camera, corners, aspect, orthographic)
+    eye, depth = fit(camera, corners, aspect, orthographic, covered)
     if look_at is None and distance is None:
         shown = displaced(camera, grid, eye)
     else:
@@ -83,31 +87,39 @@ def frame_camera(
 
 
 def fit(
-    camera: Camera, points: NDArray[np.float64], aspect: float, orthographic: bool = False
+    camera: Camera, points: NDArray[np.float64], aspect: float, orthographic: bool = False, covered: float = 0.0
 ) -> tuple[NDArray[np.float64], float]:
     """Nearest position from which a camera of this direction and angle of view sees all `points`, with a margin.
+
+    They are seen right of the part of the width that is `covered`.
 
     `points` is (n, 3) metres (east, north, up); the camera's own position does not count. Gives the position in the
     same coordinates and the depth of the points' middle in front of it. For an orthographic camera that depth is the
     one at which the angle of view spans the visible height.
     """
     right, up, forward = (points @ axis for axis in camera.basis)
-    half = math.tan(math.radians(camera.fov) / 2) * (1 - 2 * MARGIN)
+    full = math.tan(math.radians(camera.fov) / 2)
+    half = full * (1 - 2 * MARGIN)
+    # tangents of the angles from the view axis to both sides
+    sides = ((half - 2 * covered * full) * aspect, half * aspect), (half, half)
     middle_depth = float(forward.min() + forward.max()) / 2
     position = np.zeros(3)
     depths = []
-    for index, (along, slope) in enumerate(((right, half * aspect), (up, half))):
+    for index, (along, (below, above)) in enumerate(zip((right, up), sides, strict=True)):
         if orthographic:
             position[index] = (along.min() + along.max()) / 2
-            depths.append(middle_depth - np.ptp(along) / 2 / slope)
+            depths.append(middle_depth - np.ptp(along) / (below + above))
             continue
-        # the two planes through the eye touch the points: along - eye >= -slope (forward - depth), and its mirror image
-        low, high = np.min(slope * forward + along), np.min(slope * forward - along)
+        # two planes through the eye touch the points: along - eye >= -below (forward - depth), and its mirror image
+        low, high = np.min(below * forward + along), np.min(above * forward - along)
         position[index] = (low - high) / 2
-        depths.append((low + high) / 2 / slope)
+        depths.append((low + high) / (below + above))
     # a wide angle of view would have the camera in the nearest corner; an orthographic one has no place along its axis
     clear = NEAREST * max(float(np.ptp(points, axis=0).max()), 1.0)
     position[2] = min(*depths, (middle_depth if orthographic else float(forward.min())) - clear)
+    # where one side sees less than the other, the points are between both only from aside
+    for index, (below, above) in enumerate(sides):
+        position[index] += (above - below) / 2 * (position[2] - (middle_depth if orthographic else 0.0))
     return position @ camera.basis, middle_depth - position[2]
 
 

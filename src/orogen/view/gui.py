@@ -18,8 +18,9 @@ EVENTS = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel",
 """Events of a canvas that a gui takes."""
 POINTER = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel")
 KEYS = ("key_down", "key_up", "char")
-SETTLE = 2
-"""Frames until what an event changes shows everywhere: widgets react to the layout of the frame before."""
+SETTLE, MOST_PENDING = 2, 256
+"""Frames until what an event changes shows everywhere, since widgets react to the layout of the frame before; and of
+events that wait to be taken: imgui may take presses, releases and letters that come together one in a frame."""
 FONT_SIZE = 15.0
 """Height of text in logical pixels."""
 Box = tuple[float, float, float, float]
@@ -84,7 +85,8 @@ class Gui:
         """Take an event; says whether it was meant for a widget, and so for nothing below it."""
         self._imgui.set_current_context(self._context)
         io, kind = self._backend.io, event["event_type"]
-        self._pending = SETTLE
+        waiting = 0 if kind == "pointer_move" else self._pending + 1
+        self._pending = min(max(waiting, SETTLE), MOST_PENDING)
         if kind in POINTER:
             io.add_mouse_pos_event(event["x"], event["y"])
         if kind in ("pointer_down", "pointer_up"):
@@ -165,10 +167,11 @@ def _style(imgui: Any) -> None:
     style = imgui.get_style()
     style.window_rounding = style.frame_rounding = style.grab_rounding = 4.0
     style.window_border_size = 0.0
-    # dark and nearly opaque, so that text is readable over snow
-    style.set_color_(imgui.Col_.window_bg, (0.05, 0.06, 0.08, 0.99))
-    style.set_color_(imgui.Col_.popup_bg, (0.05, 0.06, 0.08, 0.99))
-    style.set_color_(imgui.Col_.title_bg_active, (0.10, 0.14, 0.20, 1.0))
+    # opaque: light is added as light, so that the least of snow would show through what is dark
+    for part in (imgui.Col_.window_bg, imgui.Col_.popup_bg):
+        style.set_color_(part, (0.05, 0.06, 0.08, 1.0))
+    for part in (imgui.Col_.title_bg, imgui.Col_.title_bg_active):
+        style.set_color_(part, (0.10, 0.14, 0.20, 1.0))
     style.set_color_(imgui.Col_.frame_bg, (0.13, 0.16, 0.21, 1.0))
     for part, alpha in ((imgui.Col_.header, 0.55), (imgui.Col_.header_hovered, 0.8), (imgui.Col_.header_active, 1.0)):
         style.set_color_(part, (0.22, 0.30, 0.42, alpha))

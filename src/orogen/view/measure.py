@@ -23,6 +23,9 @@ PIECES = 32
 MAJOR, ECCENTRICITY2 = 6378137.0, 0.00669437999014
 """Half the major axis (m) and squared eccentricity of the ellipsoid of WGS 84."""
 
+GAP = "   "
+"""Between the parts of a line on a place."""
+
 HeightAt = Callable[[Any, Any], Any]
 """Heights (m) at x, y in the data's CRS, numbers or arrays; NaN where there is none."""
 
@@ -189,7 +192,7 @@ def place_text(place: Place, geographic: bool, crs: str | None) -> str:
     parts.append(f"{place.height:.1f} m" if math.isfinite(place.height) else "no height")
     if math.isfinite(place.slope):
         parts.append(f"slope {place.slope:.0f}°")
-    return "   ".join(parts)
+    return GAP.join(parts)
 
 
 def _crs_of(name: str | None) -> CRS | None:

@@ -110,6 +110,8 @@ class NotebookView:
         from PIL import Image
 
         camera = self.window.controls.camera if self.window else self.session.camera
+        if self.session.framed and camera == self.session.camera:
+            camera = self.session.whole(aspect=self._size[0] / self._size[1])  # there is no panel beside it
         picture = self._terrain.render(camera, self._size, self.session.style, self.session.scene, samples=SAMPLES)
         file = io.BytesIO()
         Image.fromarray(picture.color[..., :3].copy()).save(file, "JPEG", quality=85)

@@ -16,7 +16,7 @@ from orogen.view.bookmarks import Bookmarks
 from orogen.view.controls import Event
 from orogen.view.gui import Gui
 from orogen.view.keyframes import Keyframes
-from orogen.view.measure import Place, Profile, distance_text, place_text
+from orogen.view.measure import GAP, Place, Profile, distance_text, place_text
 from orogen.view.player import Exporter, Player, VideoSettings
 from orogen.view.sections import draw_sections
 from orogen.view.tools import draw_profile
@@ -70,6 +70,11 @@ class ViewPanel:
         self._place_of: Any = None
         self._scale: tuple[Any, float] = (None, math.nan)
         self._gui = Gui(window.session.device, form, self._build)
+
+    @property
+    def width(self) -> float:
+        """Logical pixels of the window that it covers on the left."""
+        return MARGIN + WIDTH if self.visible else 0.0
 
     @property
     def settling(self) -> bool:
@@ -192,7 +197,7 @@ class ViewPanel:
         imgui, (width, height) = self.imgui, self._size
         self._draw_overlays()
         if self.profile:
-            left = 2 * MARGIN + WIDTH if self.visible else MARGIN
+            left = self.width + MARGIN
             imgui.set_next_window_pos((left, height - 230 - 84), imgui.Cond_.first_use_ever)
             imgui.set_next_window_size((max(300.0, width - left - MARGIN), 230), imgui.Cond_.first_use_ever)
             draw_profile(self, self._gui.note_window)
@@ -218,22 +223,38 @@ class ViewPanel:
         turn = session.ruler.north_turn(camera.x, camera.y)
         overlay.draw_north(painter, imgui, part[0] - 44, 44, (turn - camera.heading + 180) % 360 - 180)
         bottom = height - 18
-        left = (2 * MARGIN + WIDTH if self.visible else MARGIN) + 10
+        left = self.width + MARGIN + 10
         metres = self._metres_per_pixel(frame, camera) * frame.size[0] / max(part[0], 1)
+        credit = session.data.attribution or session.data.name.replace("\\", "/").rsplit("/")[-1]
+        lines = self._place_lines(width - left - 8)
         if math.isfinite(metres) and metres > 0:
             length = overlay.nice_length(metres * overlay.SCALE_WIDTH)
-            overlay.draw_scale(painter, imgui, left, bottom, length, distance_text(length), length / metres)
-        credit = session.data.attribution or session.data.name.replace("\\", "/").rsplit("/")[-1]
-        overlay.draw_text(painter, imgui, width - 14, bottom - 14, credit, 1)
-        if place := self._place_under():
-            text = place_text(place, session.ruler.geographic, session.data.grid.crs)
-            overlay.draw_text(painter, imgui, width - 14, bottom - 42, text, 1)
+            free = width - imgui.calc_text_size(credit).x - 40 - left
+            # in a narrow window there is room above what is written at the right
+            at = bottom if max(length / metres, 40.0) < free else bottom - 28 * (1 + len(lines))
+            overlay.draw_scale(painter, imgui, left, at, length, distance_text(length), length / metres)
+        for number, text in enumerate([credit, *reversed(lines)]):
+            overlay.draw_text(painter, imgui, width - 14, bottom - 14 - 28 * number, text, 1)
         if session.mode in ("wipe", "difference") and session.second:
             at = session.divider * width
             overlay.draw_text(painter, imgui, at - 14, 16, session.algorithm, 1)
             overlay.draw_text(painter, imgui, at + 14, 16, session.second.label)
         if session.mode == "difference":
             self._draw_legend(painter, width, bottom)
+
+    def _place_lines(self, room: float) -> list[str]:
+        """What is known of the ground under the pointer, in lines no longer than so many logical pixels."""
+        place, session = self._place_under(), self.window.session
+        if place is None:
+            return []
+        lines = [""]
+        for part in place_text(place, session.ruler.geographic, session.data.grid.crs).split(GAP):
+            longer = f"{lines[-1]}{GAP}{part}" if lines[-1] else part
+            if lines[-1] and self.imgui.calc_text_size(longer).x > room:
+                lines.append(part)
+            else:
+                lines[-1] = longer
+        return lines
 
     def _draw_legend(self, painter: Any, width: float, bottom: float) -> None:
         limit = self.window.session.difference_limit
@@ -283,12 +304,20 @@ class ViewPanel:
         key = frame.camera, frame.size
         stale = self._scale[0] != key or not math.isfinite(self._scale[1])
         if stale and (not self.window.controls.moving or self._scale[0] is None):
-            found = self.window.session.renderer.pick(frame.size[0] // 2, frame.size[1] // 2)
-            depth = math.nan
-            if found:
-                depth = float(overlay.projected(frame, np.array([found]), (1.0, 1.0))[0, 2])
+            # in the middle of what the panel leaves; where there is only sky, as far away as the middle of the data
+            session, width = self.window.session, self._size[0]
+            part = session.split_at(round(width)) if session.mode == "beside" else width
+            across = (1 + min(self.width / max(part, 1.0), 1.0)) / 2
+            found = session.renderer.pick(int(across * (frame.size[0] - 1)), frame.size[1] // 2)
+            depth = float(overlay.projected(frame, np.array([found or self._middle()]), (1.0, 1.0))[0, 2])
             self._scale = key, overlay.metres_per_pixel(frame, camera, depth)
         return self._scale[1]
+
+    def _middle(self) -> tuple[float, float, float]:
+        """The middle of the data: x, y and height (m)."""
+        grid, heights = self.window.session.data.grid, self.window.session.data.height_range
+        x, y = grid.to_crs(grid.width / 2, grid.height / 2)
+        return float(x), float(y), sum(heights) / 2
 
     def _place_under(self) -> Place | None:
         """What is known of the ground under the pointer; nothing while the camera moves."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from orogen.camera import Camera
 from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.gpu import Gpu, Readback
+from orogen.gpu.load import Load
 from orogen.lod import DEFAULT, algorithm, make_settings
 from orogen.lod.contract import Draw, Statistics
 from orogen.pyramid.contract import Pyramid
@@ -28,9 +31,12 @@ from orogen.shading.style import Style
 from orogen.streaming.clipmap import SEARCH, Clipmap
 from orogen.streaming.faults import Faults
 from orogen.streaming.settings import ClipmapSettings
+from orogen.view.parts import PIXEL_BYTES, Part, check_picture_size, divisions, parts
 
 TOGETHER = 4
 """Frames that are submitted together to time one of them."""
+BUSY = 50.0
+"""Milliseconds of other work before a frame that is timed, at least: an H200 takes as long to raise its clock."""
 TIMED = 8
 """Every so many frames of a window are timed."""
 STILL_SAMPLES = 16
@@ -50,6 +56,17 @@ class Scene:
     coarseness: float = 1.0
     """Factor, at least 1, by which triangles may be larger than the algorithm's settings say."""
 
+    def __post_init__(self) -> None:
+        for name, least in (("exaggeration", "a number above 0"), ("coarseness", "1 or more")):
+            value = getattr(self, name)
+            number = isinstance(value, Real) and math.isfinite(value)
+            if not number or value <= 0 or (name == "coarseness" and value < 1):
+                raise SettingsError(f"{name}: expected {least}, got {value!r}")
+        if not isinstance(self.curvature, bool | np.bool_):
+            raise SettingsError(f"curvature: expected True or False, got {self.curvature!r}")
+        if not isinstance(self.lod_camera, Camera | None):
+            raise SettingsError(f"lod_camera: expected an orogen.Camera or None, got {self.lod_camera!r}")
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -62,11 +79,11 @@ class Picture:
     reverse_depth: NDArray[np.float32]
     """(height, width) reverse-z depth of the surface buffer at the pixel centres, 0 for the sky."""
     statistics: Statistics
-    """What was drawn."""
+    """What was drawn, in the last part of a picture of several."""
     gpu_times: Mapping[str, float] = field(default_factory=dict)
-    """Milliseconds per pass of the last sample; empty where the adapter has no timestamps."""
+    """Milliseconds per pass of the last sample, of the last part; empty where the adapter has no timestamps."""
     record_time: float = 0.0
-    """Seconds of CPU time to record and submit the last sample."""
+    """Seconds of CPU time to record and submit the last sample, of the last part."""
 
     @cached_property
     def depth(self) -> NDArray[np.float32]:
@@ -205,19 +222,36 @@ class Renderer:
     ) -> Picture:
         """A picture of everything that is to be seen from `camera`, complete and the same each time.
 
-        `size`: width and height in pixels. `samples`: samples per pixel, from 1 to 256.
+        `size`: width and height in pixels; what is more than the GPU can hold is drawn in parts. `samples`: samples
+        per pixel, from 1 to 256.
         """
         if samples not in range(1, 257):
             raise SettingsError(f"samples: expected 1 to 256 per pixel, got {samples}")
-        style = style or Style()
-        frame = self._prepare(camera, size, scene or Scene())
-        self.view.want(frame)
-        self._want_more(frame)
+        check_picture_size(size)
+        style, whole = style or Style(), self._prepare(camera, size, scene or Scene())
+        held = PIXEL_BYTES * math.prod(self._targets[0].size) if self._targets else 0
+        count = divisions(size, self.gpu, held)
+        if count == 1:
+            return self._render(Part(whole, whole, 0, 0), style, samples)
+        color = np.empty((size[1], size[0], 4), np.uint8)
+        depth = np.empty((size[1], size[0]), np.float32)
+        for part in parts(whole, count):
+            drawn = self._render(part, style, samples)
+            for place, pixels in ((color, drawn.color), (depth, drawn.reverse_depth)):
+                room = place[part.row :, part.column :][: len(pixels), : pixels.shape[1]]
+                room[:] = pixels[: room.shape[0], : room.shape[1]]
+        self._frame, self._shown = None, ()  # nothing of a part is to be picked
+        return replace(drawn, frame=self.view.frame_for(whole), color=color, reverse_depth=depth)
+
+    def _render(self, part: Part, style: Style, samples: int) -> Picture:
+        """A picture, or a part of one, complete."""
+        self.view.want(self.view.frame_for(part.seen))
+        self._want_more(part.frame)
         self.clipmap.settle()
         if self.algorithm.pages:
             self.algorithm.pages.settle()
-        frame = self.view.frame_for(frame)
-        surface, light = self._targets_for(size)
+        frame = self.view.frame_for(part.frame)
+        surface, light = self._targets_for(frame.size)
         depth, record_time = self._draw(frame, surface, light, style, samples)
         while self._incomplete():
             depth, record_time = self._draw(frame, surface, light, style, samples)
@@ -225,6 +259,19 @@ class Renderer:
         return Picture(
             frame, color, depth.result(), self._state.statistics(), self.timer.results(wait=True), record_time
         )
+
+    def keep_busy(self, record_time: float = 0.0) -> None:
+        """Have a GPU work while the CPU prepares the frame that is drawn next, so that its clock is up for it.
+
+        `record_time`: seconds that such a frame took to record. For times that are compared; a software driver has no
+        clock of its own.
+        """
+        if self.gpu.info.kind != "cpu":
+            self._load.submit(max(BUSY, 2000 * record_time))
+
+    @cached_property
+    def _load(self) -> Load:
+        return Load(self.gpu)
 
     def time_frames(
         self,
@@ -235,17 +282,20 @@ class Renderer:
     ) -> list[Timing]:
         """How long the frames of a flight take with all that is wanted resident, of one sample a pixel, not read back.
 
-        Each frame is drawn after the few before it without a wait, so that the GPU is not caught resting.
+        Each frame is drawn after the few before it without a wait, and a GPU is kept at work while the CPU records it,
+        so that its clock is up.
         """
         frames = [self.render(camera, size, style, scene).frame for camera in cameras]
         surface, light = self._targets_for(size)
         self._changes[0] += 1
-        result = []
+        result, record_time = [], 0.0
         for last in range(len(frames)):
             for number in range(last + 1 - TOGETHER, last + 1):
                 light.reset()
                 # as in a window, where most frames are not timed
                 self.timer.enabled = number == last
+                if number == last:
+                    self.keep_busy(record_time)
                 # a copy: what a frame works out for itself counts
                 frame = replace(frames[max(number, 0)])
                 start = time.thread_time()
@@ -394,4 +444,6 @@ def jitters(samples: int) -> list[tuple[float, float]]:
 
 
 def _moved(frame: Frame, jitter: tuple[float, float]) -> Frame:
-    return frame if jitter == (0.0, 0.0) else replace(frame, jitter=jitter)
+    if jitter == (0.0, 0.0):
+        return frame
+    return replace(frame, jitter=(frame.jitter[0] + jitter[0], frame.jitter[1] + jitter[1]))

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 MOVEMENTS = {"around": OrbitControls, "fly": FlyControls, "walk": WalkControls}
 GRAPH_HEIGHT, LINE_HEIGHT = 96.0, 18.0
+TALL = 600.0
+"""Logical pixels of a window's height from which sections are open at the start."""
 
 
 def draw_sections(panel: ViewPanel) -> None:
@@ -32,10 +34,11 @@ def draw_sections(panel: ViewPanel) -> None:
         ("Compare", _compare, False), ("Speed", _speed, False), ("Measure", draw_measure, False),
         ("Flight", draw_flight, False), ("Picture", draw_picture, False),
     )  # fmt: skip
+    tall = panel.window.canvas.get_logical_size()[1] >= TALL
     for name, draw, open in sections:
         if name == "Picture" and not panel.window.session.files:
             continue
-        if panel.widgets.section(name, open):
+        if panel.widgets.section(name, open and tall):
             panel.imgui.push_id(name)
             draw(panel)
             panel.imgui.pop_id()

@@ -30,6 +30,8 @@ log = logging.getLogger("orogen")
 
 STATISTICS_EVERY = 16
 """Frames between two counts of triangles: each waits for the GPU."""
+MOST_COVERED = 0.6
+"""Part of a window's width that a panel may hide for what it leaves to be a picture of its own."""
 
 
 @dataclass
@@ -87,7 +89,7 @@ class Session:
         self.quality = Quality(quality)
         self.history = History()
         self.second: Second | None = None
-        self.divider = 0.5
+        self.divider = self._middle = 0.5
         """Where the second view begins, as a part of the width."""
         self.difference = False
         """Whether the height of what is compared over the first is shown in its place."""
@@ -99,6 +101,7 @@ class Session:
         self.problem = ""
         """Why the data asked for last could not be opened."""
         self._camera = camera
+        self._framed: Camera | None = None  # where all is seen, for a window's shape
         self._owned = owned
         self._joiner: Joiner | None = None
         self._opening: Opening | None = None
@@ -118,7 +121,24 @@ class Session:
     @property
     def camera(self) -> Camera:
         """Where to begin."""
-        return self._camera or self.whole()
+        return self._camera or self._framed or self.whole()
+
+    @property
+    def framed(self) -> bool:
+        """Whether the view begins where all data are seen, since nobody has said where."""
+        return self._camera is None
+
+    def begin(self, size: tuple[float, float], covered: float = 0.0) -> None:
+        """Take the size of the window, and the part of its width that something hides on the left.
+
+        What nobody has said is chosen accordingly: where the view begins, and where a second one does.
+        """
+        covered = covered if covered <= MOST_COVERED else 0.0
+        self._framed = self.whole(aspect=max(size[0], 1) / max(size[1], 1), covered=covered)
+        middle, before = (1 + covered) / 2, self._middle
+        self._middle = middle
+        if self.divider == before:  # nobody has moved it
+            self.divider = middle
 
     @property
     def ground(self) -> Ground:

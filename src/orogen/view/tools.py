@@ -14,6 +14,8 @@ from orogen.view.flight import Flight
 from orogen.view.forms import docstrings
 from orogen.view.image import write_color
 from orogen.view.measure import distance_text
+from orogen.view.overlay import CYAN, YELLOW
+from orogen.view.parts import LARGEST, check_picture_size
 from orogen.view.player import Exporter, VideoSettings
 from orogen.view.video import QUALITIES
 from orogen.view.widgets import number_of, size_of
@@ -60,13 +62,17 @@ def draw_profile(panel: ViewPanel, note_window: Callable[[], None]) -> None:
         unit, name = (1000.0, "km") if profile.length >= 10000 else (1.0, "m")
         fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_highlight
         implot.setup_axes(f"distance ({name})", "height (m)", fit, fit)
-        implot.plot_line("height", profile.distance / unit, profile.height)
+        line, mark = implot.Spec(), implot.Spec()  # as the line and the place on the terrain look
+        line.line_color, line.line_weight = imgui.color_convert_u32_to_float4(YELLOW), 2.0
+        mark.marker, mark.marker_size = implot.Marker_.circle, 4.5
+        mark.marker_fill_color = mark.marker_line_color = imgui.color_convert_u32_to_float4(CYAN)
+        implot.plot_line("height", profile.distance / unit, profile.height, line)
         if implot.is_plot_hovered():
             at = float(np.clip(implot.get_plot_mouse_pos().x * unit, 0, profile.length))
             number = int(np.argmin(np.abs(profile.distance - at)))
             panel.marked = float(profile.points[number, 0]), float(profile.points[number, 1])
             x, y = np.array([at / unit]), np.array([profile.height[number]])
-            implot.plot_scatter("here", x, y)
+            implot.plot_scatter("here", x, y, mark)
             implot.annotation(x[0], y[0], (1, 1, 1, 1), (8, -8), True, f"{distance_text(at)}: {y[0]:.1f} m")
         implot.end_plot()
     note_window()
@@ -140,7 +146,7 @@ def draw_flight(panel: ViewPanel) -> None:
 
     video, help = panel.video, docstrings(VideoSettings)
     w.text(
-        "video size", f"{video.size[0]} x {video.size[1]}", lambda text: put(size=size_of(text, _most(panel))),
+        "video size", f"{video.size[0]} x {video.size[1]}", lambda text: put(size=_picture_size(text)),
         help["size"],
     )  # fmt: skip
     w.text("video rate (1/s)", f"{video.fps:g}", lambda text: put(fps=number_of(text)), help["fps"])
@@ -158,7 +164,7 @@ def draw_picture(panel: ViewPanel) -> None:
     )
 
     def resize(text: str) -> None:
-        panel.picture_size = size_of(text, _most(panel))
+        panel.picture_size = _picture_size(text)
 
     def write(text: str) -> None:
         camera = panel.window.controls.camera
@@ -170,6 +176,7 @@ def draw_picture(panel: ViewPanel) -> None:
     w.text("write to", "", write, "Writes what the camera sees, without the panel, as a PNG file.", "picture.png")
 
 
-def _most(panel: ViewPanel) -> int:
-    """Pixels that a side of a picture can have."""
-    return int(panel.window.session.renderer.gpu.limits["max-texture-dimension-2d"])
+def _picture_size(text: str) -> tuple[int, int]:
+    size = size_of(text, LARGEST)
+    check_picture_size(size)
+    return size

@@ -42,6 +42,10 @@ class Panel(Protocol):
     """What is drawn over the picture, and takes events before the controls do."""
 
     @property
+    def width(self) -> float:
+        """Logical pixels of the window that it covers on the left."""
+
+    @property
     def settling(self) -> bool:
         """Whether another frame has to be drawn without an event."""
 
@@ -99,9 +103,14 @@ class Window:
         """Take a session in place of the one before."""
         self.session = session
         size, ratio = self.canvas.get_logical_size(), self.canvas.get_pixel_ratio()
-        self.controls: Controls = OrbitControls(session.camera, session.ground, size, ratio)
         self.map_controls: OrbitControls | None = None
         self._use_device()
+        self._begin(size)
+        self.controls: Controls = OrbitControls(session.camera, session.ground, size, ratio)
+
+    def _begin(self, size: tuple[float, float]) -> None:
+        """Let the session choose where to begin in a window of so many logical pixels."""
+        self.session.begin(size, self.panel.width / max(size[0], 1.0) if self.panel else 0.0)
 
     def _use_device(self) -> None:
         """Draw with the session's device."""
@@ -163,8 +172,7 @@ class Window:
         if kind == "close":
             return False
         if kind == "resize":
-            self.controls.handle(event)
-            self._resize_map()
+            self._resize(event)
             return True
         if kind == "pointer_leave":
             return self.panel is not None
@@ -256,6 +264,17 @@ class Window:
     def _map_room(self, size: tuple[float, float]) -> tuple[float, float]:
         return max(size[0] - self.session.split_at(round(size[0])), 1.0), max(size[1], 1.0)
 
+    def _resize(self, event: Event) -> None:
+        """Take another size; what shows all goes on doing so, until somebody moves."""
+        unmoved = self.session.framed and self.controls.camera == self.session.camera
+        self.controls.handle(event)
+        self._begin(self.controls.size)
+        if unmoved and not self.controls.moving:
+            self.controls = type(self.controls)(
+                self.session.camera, self.controls.ground, self.controls.size, self.controls.pixel_ratio
+            )
+        self._resize_map()
+
     def _resize_map(self) -> None:
         if self.map_controls:
             self.map_controls.size = self._map_room(self.canvas.get_logical_size())
@@ -311,6 +330,9 @@ class Window:
         beside = self.map_controls.advance(dt) if self.map_controls else None
         moving = flown is not None or self.controls.moving
         map_moving = self.map_controls is not None and self.map_controls.moving
+        if self._loop:
+            # wgpu ends the process where a screen's texture is asked of a lost device
+            self.session.renderer.gpu.check()
         texture = self._context.get_current_texture()
         size = texture.size[0], texture.size[1]
         target = texture.create_view()

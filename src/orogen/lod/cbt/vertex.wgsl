@@ -11,5 +11,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     // corners beyond the data move to its border, which keeps triangles from overlapping
     let p = clamp_to_extent(Point(frame.extent.xy + at, vec2<f32>(0.0)));
     let lines = vec4<f32>(vec3<f32>(vec3<u32>(0u, 1u, 2u) == vec3<u32>(corner)), 0.5);
-    return LodVertex(p, height_at(p), lines, node, resident_level(p, u32(lod_at(p))), cbt.finest - depth_of_node(node));
+    return LodVertex(p, height_at(p), lines, node, drawn_level(p), cbt.finest - depth_of_node(node));
 }

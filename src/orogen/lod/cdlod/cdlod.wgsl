@@ -94,5 +94,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     p = clamp_to_extent(p);
     let id = (piece.level << 26u) ^ (piece.y << 13u) ^ piece.x;
     let lines = vec4<f32>(vec2<f32>(grid), f32(grid.x + grid.y), 0.5);
-    return LodVertex(p, height_at(p), lines, id, resident_level(p, u32(lod_at(p))), level);
+    return LodVertex(p, height_at(p), lines, id, drawn_level(p), level);
 }

@@ -61,7 +61,7 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let p = vertex_place(grid, at);
     let height = height_at(p);
     let lines = vec4<f32>(f32(at.x), f32(at.y), f32(at.x + at.y), 0.5);
-    let top = LodVertex(p, height, lines, grid.id, resident_level(p, u32(lod_at(p))), grid.tile_level);
+    let top = LodVertex(p, height, lines, grid.id, drawn_level(p), grid.tile_level);
     if (side == 0u || ((grid.sides >> (side - 1u)) & 1u) == 0u) { return top; }
     let step = select(vec2<i32>(1, 0), vec2<i32>(0, 1), side <= 2u);
     return hang(top, side, drop_at(grid, at, step, height));

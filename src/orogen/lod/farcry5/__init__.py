@@ -161,7 +161,7 @@ class View(AlgorithmView):
             self._bind_culling()
         projection = self._pyramid.projection(frame) if self._tests_depth else None
         if projection is not None:
-            block["history"], block["to_history"] = 1, projection.T
+            block["history"], block["to_history"] = 1, np.reshape(projection, (4, 4))
         # only a frame that ends with `drawn` tells what may be left out of the next
         self._pyramid.seen = None
         if block.tobytes() != self._written:

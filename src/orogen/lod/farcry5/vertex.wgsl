@@ -10,5 +10,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let p = vertex_point(tile, place);
     let id = (level_of(tile) << 26u) ^ (tile.y << 13u) ^ tile.x;
     let lines = vec4<f32>(vec2<f32>(place), f32(place.x + place.y), 0.5);
-    return LodVertex(p, height_at(p), lines, id, resident_level(p, u32(lod_at(p))), level_of(tile));
+    return LodVertex(p, height_at(p), lines, id, drawn_level(p), level_of(tile));
 }

@@ -33,5 +33,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     // turns over
     let p = clamp_to_extent(Point(frame.extent.xy + (piece.place * QUADS + grid) * quad, vec2<f32>(0.0)));
     let id = (piece.level << 26u) ^ (u32(piece.place.y) << 13u) ^ u32(piece.place.x);
-    return LodVertex(p, height_at(p), lines_at(grid, hidden), id, resident_level(p, u32(lod_at(p))), piece.level);
+    return LodVertex(p, height_at(p), lines_at(grid, hidden), id, drawn_level(p), piece.level);
 }

@@ -28,5 +28,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let corner = (vertex >> #{CORNER}u) & 3u;
     let lines = vec4<f32>(vec3<f32>(vec3<u32>(corner) == vec3<u32>(0u, 1u, 2u)), 0.5);
     let deepest = (word >> 6u) & 7u;
-    return LodVertex(p, height_at(p), lines, word >> 9u, resident_level(p, u32(lod_at(p))), MOST - deepest);
+    return LodVertex(p, height_at(p), lines, word >> 9u, drawn_level(p), MOST - deepest);
 }

@@ -17,6 +17,6 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let pixel = mesh[at.y * (settings.columns + 1u) + at.x];
     let p = ground_of(pixel);
     let lines = vec4<f32>(vec2<f32>(at), f32(at.x + at.y), 0.5);
-    let level = resident_level(p, u32(lod_at(p)));
+    let level = drawn_level(p);
     return LodVertex(p, pixel.height, lines, instance + 1u, level, level_of_cell(at));
 }

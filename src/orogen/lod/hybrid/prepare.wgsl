@@ -5,7 +5,7 @@
 const GROUP = 64u;
 const MARK_COLUMNS = 1024u;
 
-struct State { parents: u32, progress: u32, finals: u32 }
+struct State { indices: u32, finals: u32 }
 struct Groups { x: u32, y: u32, z: u32, padding: u32 }
 
 // At 0 bytes for choose.wgsl, at 16 for mark.wgsl, at 32 for the draw.

@@ -15,5 +15,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     // 0 on the edge opposite a corner
     let lines = vec4<f32>(vec3<f32>(vec3<u32>(corner) == vec3<u32>(0u, 1u, 2u)), 0.5);
     let tile_level = DEPTH - (triangle.corners[0] >> #{DEPTH_BITS}u);
-    return LodVertex(p, height_at(p), lines, number, resident_level(p, u32(lod_at(p))), tile_level);
+    return LodVertex(p, height_at(p), lines, number, drawn_level(p), tile_level);
 }

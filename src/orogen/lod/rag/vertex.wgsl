@@ -15,5 +15,5 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let id = (sum.y * 0x9e3779b1u) ^ sum.x;
     let legs = max(reach(corners[0], corners[1]), reach(corners[0], corners[2]));
     let size = u32(max(legs, reach(corners[1], corners[2])));
-    return LodVertex(p, corner.height, lines, id, resident_level(p, u32(lod_at(p))), firstLeadingBit(max(size, 1u)));
+    return LodVertex(p, corner.height, lines, id, drawn_level(p), firstLeadingBit(max(size, 1u)));
 }

@@ -19,6 +19,6 @@ fn lod_vertex(vertex: u32, instance: u32) -> LodVertex {
     let p = lattice_point(triangle.apex * UNIT + away);
     let at = vec2<f32>(steps);
     let lines = vec4<f32>(at, 0.5 * (at.x + at.y), 0.5 * (at.x - at.y));
-    let level = resident_level(p, u32(lod_at(p)));
+    let level = drawn_level(p);
     return LodVertex(p, height_beyond(p), lines, id_of(triangle), level, level_of(triangle));
 }

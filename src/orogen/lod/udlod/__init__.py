@@ -12,8 +12,8 @@ from orogen.frame import Frame
 from orogen.gpu import FrameTimer, Texture
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh, grid_triangles
-from orogen.lod.tiles import Refinement, TileList, check_tiles, draws_in_compute
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.lod.tiles import DRAWS, Refinement, TileList, check_tiles, draws_in_compute
+from orogen.streaming.clipmap import Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
 
@@ -21,6 +21,8 @@ OCCLUDING = 1 << 16
 """Samples along a side of the data from which on hidden tiles are left out where nobody says whether they should be."""
 CHEAP_QUAD = 2.0
 """Pixels of a quad from which on drawing hidden ones in compute takes less time than finding them."""
+WORTH = {True: 1 << 14, False: 1 << 8}
+"""Tiles that have to be found hidden for that to take less time than drawing them, by whether that is in compute."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class Settings:
     """Tiles that there is room for at first; grows when a frame needs more."""
     occlusion: bool | None = None
     """Whether tiles that others hide are left out; the picture is the same. None: where the data is more than 65536
-    samples long, whose far tiles are many and mostly hidden; where triangles are drawn in compute, only if quads are
-    smaller than 2 pixels."""
+    samples long, whose far tiles are many and mostly hidden, with rests while few are; where triangles are drawn in
+    compute, only if quads are smaller than 2 pixels."""
 
     def __post_init__(self) -> None:
         check_tiles(self)
@@ -58,23 +60,21 @@ class View(AlgorithmView):
 
     def __init__(self, algorithm: Udlod) -> None:
         self._algorithm = algorithm
-        gpu = algorithm.clipmap.gpu
         self._list = TileList(algorithm.refinement)
-        self._draws = [gpu.buffer("udlod draw", 20, "STORAGE|INDIRECT|COPY_SRC", "udlod") for _ in range(2)]
-        self._draw_groups = [gpu.bind("udlod draw", algorithm.arguments_layout, {0: draw}) for draw in self._draws]
-        self._vertex_groups: list[Any] = []
+        self._draws: list[Patches] = []
         self._bound = 0
 
     def _bind(self) -> None:
-        """Groups for as many tiles as the list has room for."""
+        """Draws of as many tiles as the list has room for."""
         if self._bound == self._list.capacity:
             return
         self._bound = self._list.capacity
         algorithm = self._algorithm
-        self._vertex_groups = [
-            algorithm.clipmap.gpu.bind("udlod tiles", algorithm.module.layout, {0: self._list.block, 1: tiles})
-            for tiles in (self._list.tiles, self._list.revealed)
-        ]
+        self._draws = []
+        for tiles, offset in zip((self._list.tiles, self._list.revealed), DRAWS, strict=True):
+            group = algorithm.clipmap.gpu.bind("udlod tiles", algorithm.module.layout, {0: self._list.block, 1: tiles})
+            draw = Patches(algorithm.module, group, self._list.state, "triangle-list", algorithm.index, offset)
+            self._draws.append(draw)
 
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Refine the tile list, level by level from the root, and draw what the frame before does not hide."""
@@ -83,10 +83,10 @@ class View(AlgorithmView):
         run = timer.compute_pass(encoder, "refine")
         run.set_bind_group(0, view.bind_group)
         self._list.record(run, frame)
-        draw = self._prepare(run, 0)
+        run.end()
         if not self._list.occludes:
             self._list.watch(encoder)
-        return [draw]
+        return self._draws[:1]
 
     def drawn(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView, depth: Texture) -> Sequence[Draw]:
         """Draw what the frame before would hide and this one does not."""
@@ -96,20 +96,9 @@ class View(AlgorithmView):
         run = timer.compute_pass(encoder, "reveal")
         run.set_bind_group(0, view.bind_group)
         self._list.reveal(run)
-        draw = self._prepare(run, 1)
-        self._list.watch(encoder)
-        return [draw]
-
-    def _prepare(self, run: Any, number: int) -> Patches:
-        """Finish a pass with the arguments of a draw: the first one's, or that of what was revealed."""
-        algorithm = self._algorithm
-        run.set_bind_group(2, self._draw_groups[number])
-        run.set_pipeline(algorithm.prepare_draw)
-        run.dispatch_workgroups(1)
         run.end()
-        return Patches(
-            algorithm.module, self._vertex_groups[number], self._draws[number], "triangle-list", algorithm.index
-        )
+        self._list.watch(encoder)
+        return self._draws[1:]
 
     def statistics(self) -> Statistics:
         """Tiles as patches; two triangles a quad."""
@@ -136,9 +125,9 @@ class Udlod(Algorithm):
             dear = settings.quad_pixels < CHEAP_QUAD or not cheap
             occlusion = dear and max(clipmap.grid.shape) > OCCLUDING
         self.refinement = Refinement(
-            clipmap, self.name, settings, settings.quad_pixels, sift=not cheap, occlusion=occlusion
-        )
-        self.arguments_layout = gpu.layout("udlod arguments", {0: ("COMPUTE", "storage")})
+            clipmap, self.name, settings, settings.quad_pixels, sift=not cheap, occlusion=occlusion,
+            worth=WORTH[cheap] if settings.occlusion is None else 0,
+        )  # fmt: skip
         stages = "VERTEX|COMPUTE"
         size = settings.grid_size
         self.module = Module(
@@ -147,11 +136,6 @@ class Udlod(Algorithm):
             {"COLUMNS": size + 1},
         )
         self.index = Mesh(gpu, [grid_triangles(size, size)], "udlod")
-        prepare = gpu.shader(
-            "udlod prepare", FOLDER / "prepare.wgsl", search=[FOLDER, *SEARCH], constants=clipmap.constants
-        )
-        layouts = [clipmap.layout, self.refinement.lists_layout, self.arguments_layout]
-        self.prepare_draw = gpu.compute("udlod draw", prepare, "prepare_draw", layouts)
 
     def view(self) -> View:
         """State for one more view."""

@@ -10,6 +10,8 @@ const context = canvas.getContext('2d')
 const held = new Set()
 let socket = null
 let size = null
+// whether a connection that breaks is worth another try: tabs that were suspended and networks that slept come back
+let hopeful = false
 
 function say (message, retry) {
   text.textContent = message
@@ -52,6 +54,7 @@ async function show (data) {
     context.drawImage(picture, 0, 0)
     picture.close()
     notice.hidden = true
+    hopeful = true
     document.documentElement.dataset.shown = index
   } finally {
     tell({ type: 'shown', index })
@@ -73,6 +76,11 @@ function connect () {
   socket.onmessage = (event) => { last = last.then(() => show(event.data)).catch(() => {}) }
   socket.onclose = (event) => {
     held.clear()
+    if (event.code === 1006 && hopeful) {
+      hopeful = false
+      setTimeout(connect, 500)
+      return
+    }
     const reason = event.reason || (event.code === 1006 ? 'the server does not answer' : 'the server has ended')
     say(reason.charAt(0).toUpperCase() + reason.slice(1) + '.', true)
   }
