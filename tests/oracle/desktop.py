@@ -121,6 +121,8 @@ class Desktop:
         self.display = display
         variables = {**os.environ, "DISPLAY": display.name, "OROGEN_CONFIG_DIR": str(folder / "config"), **environment}
         variables.pop("WAYLAND_DISPLAY", None)
+        # sessions of desktops have one, and drivers complain to stderr where there is none
+        variables.setdefault("XDG_RUNTIME_DIR", str(folder))
         variables["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parents[1]), variables.get("PYTHONPATH", "")])
         self._errors = (folder / "errors.txt").open("w+")
         self.process = subprocess.Popen(
