@@ -6,19 +6,17 @@ from orogen.gpu import Gpu
 from orogen.gpu.load import Load
 
 
-def test_work_takes_about_as_long_as_asked(gpu: Gpu) -> None:
+def test_work_takes_time_and_is_not_waited_for(gpu: Gpu) -> None:
     load = Load(gpu)
     gpu.wait()
-    spans = []
-    for milliseconds in (0.0, 60.0):
-        start = time.perf_counter()
-        load.submit(milliseconds)
-        asked = time.perf_counter() - start
-        gpu.wait()
-        spans.append(1000 * (time.perf_counter() - start))
-    assert asked < 0.05, "it waits"
-    # cores that do something else make it longer, never much shorter
-    assert spans[1] > 20.0 > 0.5 * spans[0]
+    start = time.perf_counter()
+    load.submit(150.0)
+    asked = time.perf_counter() - start
+    gpu.wait()
+    spent = time.perf_counter() - start
+    # what else the cores do while the rate is found, or later, makes it shorter or longer
+    assert spent > 0.02
+    assert asked < 0.5 * spent
 
 
 def test_it_is_bounded(gpu: Gpu) -> None:
