@@ -43,6 +43,15 @@ def sun_direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=16)
+def sun_of(style: Style) -> tuple[float, float, float] | None:
+    """Unit vector (east, north, up) towards the sun where it casts shadows."""
+    if not (style.lit and style.shadows):
+        return None
+    east, north, up = sun_direction(*style.sun).tolist()
+    return east, north, up
+
+
+@lru_cache(maxsize=16)
 def light_of(style: Style) -> Light:
     """The light that a style means; kept, since frames share it."""
     elevation = style.sun[1]

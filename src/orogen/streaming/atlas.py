@@ -21,6 +21,8 @@ from orogen.streaming.tiles import ColorNode, HeightNode
 
 FOLDER = Path(__file__).parent
 
+CEILING_BLOCK = 4
+"""Cells along the side of a block that shares a sun ceiling (ceilings.wgsl)."""
 _UNIFORM_STEP = 256
 
 
@@ -62,6 +64,7 @@ def height_attachments(node_size: int, covered: bool, form: HeightFormat = FLOAT
         Attachment("height", form.texture, (side, side)),
         *coverage,
         Attachment("maxima", "r32float", maxima, computed=True),
+        Attachment("ceilings", "r32float", (node_size // CEILING_BLOCK + 1,) * 2, computed=True),
     )
 
 

@@ -65,6 +65,7 @@ def _packing(block: np.dtype[Any]) -> struct.Struct:
 _CODES = {"f": "f", "i": "i", "u": "I"}
 _PACKED = _packing(FRAME)
 _PACKED_COLORS = struct.Struct("<4f2i2f")
+_PACKED_SUN = struct.Struct("<3fI")
 
 LAYER = np.dtype(
     [
@@ -82,7 +83,15 @@ LAYER = np.dtype(
 )
 
 CLIPMAP = np.dtype(
-    [("layers", LAYER, 2), ("color_matrix", "f4", (2, 2)), ("color_anchor", "i4", 2), ("color_offset", "f4", 2)]
+    [
+        ("layers", LAYER, 2),
+        ("color_matrix", "f4", (2, 2)),
+        ("color_anchor", "i4", 2),
+        ("color_offset", "f4", 2),
+        ("sun_slope", "f4", 2),
+        ("sun_rise", "f4"),
+        ("sun_ready", "u4"),
+    ]
 )
 
 
@@ -158,9 +167,20 @@ def color_mapping(
 
 
 def color_block(mapping: tuple[tuple[float, ...], tuple[int, ...], tuple[float, ...]] | None) -> bytes:
-    """The end of a clipmap's uniform block, after its layers; zeros without colours."""
+    """What follows the layers in a clipmap's uniform block; zeros without colours."""
     matrix, whole, rest = mapping or ((0.0,) * 4, (0, 0), (0.0, 0.0))
     return _PACKED_COLORS.pack(*matrix, *whole, *rest)
+
+
+def sun_block(slope: tuple[float, float], rise: float) -> bytes:
+    """The end of a clipmap's uniform block, where sun ceilings are to be used: metres of the data that rays towards the
+    sun rise, per subtexel along columns and rows, and per metre of their length.
+    """
+    return _PACKED_SUN.pack(*slope, rise, 1)
+
+
+NO_SUN_BLOCK = bytes(_PACKED_SUN.size)
+"""The same where they are not."""
 
 
 @lru_cache(maxsize=16)

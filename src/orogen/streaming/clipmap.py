@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from orogen.keys import NODE_SIZE as CHUNK
 from orogen.keys import NodeKey, level_shape
 from orogen.pyramid.contract import Pyramid
 from orogen.streaming import blocks
+from orogen.streaming.atlas import CEILING_BLOCK
+from orogen.streaming.ceilings import Ceilings
 from orogen.streaming.faults import Faults
 from orogen.streaming.layer import Layer
 from orogen.streaming.requests import LayerGrid, wanted
@@ -75,7 +78,7 @@ class Clipmap:
         self.constants = {
             "NODE_BITS": s.node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, "COLOR_BORDER": COLOR_BORDER,
             "MAX_ANISOTROPY": MAX_ANISOTROPY, "COVERED": self.heights.covered, "ANY_HIT": False, "WITH_LEVELS": True,
-            **self.heights.format.constants,
+            "CEILING_BLOCK": CEILING_BLOCK, **self.heights.format.constants,
         }  # fmt: skip
         """Constants of clipmap.wgsl."""
         self._views: list[ClipmapView] = []
@@ -94,6 +97,7 @@ class Clipmap:
                 8: (_STAGES, array.format("float")),
                 9: (_STAGES, "sampler filtering"),
                 10: (_STAGES, "sampler non-filtering"),
+                11: (_STAGES, array.format("unfilterable")),
             },
         )
         """Layout of bind group 0, which every shader that includes frame.wgsl or clipmap.wgsl uses."""
@@ -101,6 +105,11 @@ class Clipmap:
         self.texel_sampler = gpu.sampler("texels")
         self._slots_version = -1
         self._unreadable: Failures[tuple[int, ...]] = Failures()
+
+    @cached_property
+    def ceilings(self) -> Ceilings:
+        """What spares rays towards the sun their way over nodes."""
+        return Ceilings(self.gpu, self.heights, self.settings.node_bits)
 
     @property
     def grid(self) -> Grid:
@@ -214,6 +223,8 @@ class Clipmap:
             layer.close()
         for view in list(self._views):
             self.drop(view)
+        if "ceilings" in vars(self):
+            self.ceilings.destroy()
         self.slot_buffer.destroy()
         self._nothing.destroy()
 
@@ -260,6 +271,7 @@ class ClipmapView:
         self._written_tables: Any = None
         self._written_block: Any = None
         self._layer_blocks: tuple[Any, bytes] = None, b""
+        self._sun_block = blocks.NO_SUN_BLOCK
         self.bind_group: Any = None
         """Bind group 0 of every shader that reads the frame and the clipmap."""
 
@@ -305,9 +317,13 @@ class ClipmapView:
             for layer in self.clipmap.layers
         ]
 
-    def update(self, frame: Frame) -> None:
-        """Write the frame's numbers and, where camera or residency changed, the quadtrees."""
+    def update(self, frame: Frame, sun: tuple[float, float, float] | None = None) -> None:
+        """Write the frame's numbers and, where camera or residency changed, the quadtrees.
+
+        `sun`: unit vector (east, north, up) towards the sun, where it is to cast shadows.
+        """
         self._frame = frame
+        self._sun_block = self.clipmap.ceilings.block(sun, frame) if sun else blocks.NO_SUN_BLOCK
         layers, gpu = self.clipmap.layers, self.clipmap.gpu
         self._size_for(frame)
         centres = [_lod_texel(frame, layer.grid.grid) for layer in layers]
@@ -449,6 +465,7 @@ class ClipmapView:
                 8: clipmap.attachment("color"),
                 9: clipmap.sampler,
                 10: clipmap.texel_sampler,
+                11: clipmap.attachment("ceilings"),
             },
         )
         self._bits = bits
@@ -474,7 +491,7 @@ class ClipmapView:
         if clipmap.colors:
             grid = clipmap.colors.grid.grid
             mapping = blocks.color_mapping(frame, grid, subtexel_bits(grid))
-        return self._layer_blocks[1] + blocks.color_block(mapping)
+        return self._layer_blocks[1] + blocks.color_block(mapping) + self._sun_block
 
     def _make_layer_blocks(self) -> bytes:
         result = np.zeros((), blocks.CLIPMAP["layers"])

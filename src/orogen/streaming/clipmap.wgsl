@@ -34,6 +34,9 @@ struct ClipmapBlock {
     color_matrix: vec4<f32>,        // height subtexels to colour subtexels, rows first
     color_anchor: vec2<i32>,        // colour subtexel of the frame's anchor
     color_offset: vec2<f32>,        // and its fraction
+    sun_slope: vec2<f32>,           // what rays towards the sun rise per subtexel, metres of the data
+    sun_rise: f32,                  // and per metre of their length, at least
+    sun_ready: u32,                 // 1: the ceilings of all nodes in use are this sun's
 }
 
 struct SlotBounds { low: f32, high: f32, error: f32, level: f32 }
@@ -48,6 +51,7 @@ struct SlotBounds { low: f32, high: f32, error: f32, level: f32 }
 @group(0) @binding(8) var color_atlas: texture_2d_array<f32>;
 @group(0) @binding(9) var color_sampler: sampler;
 @group(0) @binding(10) var texel_sampler: sampler;   // nearest: for gathers
+@group(0) @binding(11) var ceilings_atlas: texture_2d_array<f32>;
 
 struct Node {
     slot: u32,

@@ -73,6 +73,8 @@ class Layer:
         """Per slot: lowest and highest height of blocks of texels, then of 2 x 2 of these, and so on."""
         self.version = 0
         """Counts changes of `current` and of what is in its slots."""
+        self.refilled: set[int] = set()
+        """Slots of heights that were filled since `Ceilings` last took them out."""
         self._estimates: set[NodeKey] = set()
         self._wanted: frozenset[NodeKey] = frozenset()
         self._seen = (np.inf, -np.inf)
@@ -150,6 +152,7 @@ class Layer:
             else:
                 self._estimates.add(key)
             if isinstance(node, HeightNode):
+                self.refilled.add(slot)
                 self._keep_ranges(slot, node.blocks)
                 self.slots[slot] = node.low, node.high, self._error(key) + node.loss, key.level
                 self._seen = min(self._seen[0], node.low), max(self._seen[1], node.high)

@@ -18,6 +18,9 @@ struct Hit {
 const ANY_HIT = #{ANY_HIT};      // whether a ray hits anything is all that is asked
 const STAYS_ABOVE = COVERED && ANY_HIT;
 
+const CEILING_BLOCK = #{CEILING_BLOCK};   // cells along the side of a block that shares a sun ceiling
+const CEILING_BITS = firstTrailingBit(u32(CEILING_BLOCK));
+
 const UNKNOWN = 0;
 const ABOVE = 1;
 const BELOW = 2;
@@ -132,6 +135,11 @@ fn next_cell(c: vec2<i32>, k: u32, crossing: Crossing, t: f32, path: Path) -> ve
     return select(inside, beyond, vec2<bool>(crossing.axis == 0u, crossing.axis == 1u));
 }
 
+// Height over which a ray towards the sun, above the surface in a cell of a node, leaves the node above it.
+fn ceiling_over(slot: u32, c: vec2<i32>) -> f32 {
+    return textureLoad(ceilings_atlas, c / CEILING_BLOCK, i32(slot), 0).x - frame.eye_height;
+}
+
 // First point between `from_t` and `to_t` where the ray meets the surface from above, or from below where
 // `from_below` is set and the ray has come under it (through missing data, or from the edge). A ray without `from_below`
 // starts above the surface.
@@ -174,12 +182,28 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
             let first = (node.cell << vec2<u32>(NODE_BITS));
             var c = ((cell + half) >> vec2<u32>(shift)) - first;
             let scale = inverse_power(shift);
-            let path = path_of(o, d, vec2<f32>((first << vec2<u32>(shift)) - half - frame.anchor), shift);
+            let origin = vec2<f32>((first << vec2<u32>(shift)) - half - frame.anchor);
+            let path = path_of(o, d, origin, shift);
             // a ray that starts on the ground, or is under it, meets cells next; others start at coarse blocks
             let low = (!from_below && t == from_t) || (!STAYS_ABOVE && side == BELOW);
             var k = select(7u, 0u, low);
             var way_out: Crossing;
+            // the ray's height, sheared as ceilings are: from here on it is this or more
+            var sheared = -1e30;
+            var clear = false;
+            if (ANY_HIT && clipmap.sun_ready != 0u && side == ABOVE && z.y + 2.0 * t * z.z >= clipmap.sun_rise) {
+                let place = o + t * d - origin;
+                sheared = height_on(z, t) - dot(clipmap.sun_slope, place);
+                if (sheared >= ceiling_over(node.slot, c)) {
+                    // it may have come under the surface where nodes of two levels meet
+                    let h = height_quad(node.slot, c - 1);
+                    let way = clamp(place * scale - vec2<f32>(c), vec2<f32>(0.0), vec2<f32>(1.0));
+                    clear = height_on(z, t) > bilinear(h.x, h.y, h.z, h.w, way) - frame.eye_height;
+                }
+            }
+            var over = false;   // whether it was above the surface somewhere in this node
             loop {
+                if (ANY_HIT && clear) { break; }
                 // over blocks that the ray clears, down to the next cell that it may meet: a loop of its own, so that
                 // the lanes of a group come to their cells together
                 loop {
@@ -188,10 +212,13 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     if (k == 0u || steps > STEPS) { break; }
                     let highest = maximum_texel(node.slot, k, c >> vec2<u32>(k));
                     if (lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
+                        clear = ANY_HIT && over && k == CEILING_BITS && sheared >= ceiling_over(node.slot, c);
+                        if (clear) { break; }
                         k -= 1u;
                         continue;
                     }
                     side = ABOVE;
+                    over = true;
                     t = clamp(way_out.t, t, node_end);
                     if (way_out.t >= node_end) { break; }
                     let before = c;
@@ -222,10 +249,12 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                         return Hit(true, t, node.level, node.cell, way);
                     }
                     t = end;
+                    over = true;
                     if (way_out.t >= node_end) { break; }
                     let before = c;
                     c = next_cell(c, 0u, way_out, t, path);
-                    if ((((before.x ^ c.x) | (before.y ^ c.y)) >> 1u) != 0) { k = 1u; }
+                    let moved = (before.x ^ c.x) | (before.y ^ c.y);
+                    if ((moved >> 1u) != 0) { k = select(1u, CEILING_BITS, (moved >> CEILING_BITS) != 0); }
                     continue;
                 }
                 if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
@@ -308,7 +337,8 @@ fn is_solid(cover: vec4<f32>, way: vec2<f32>) -> bool {
 }
 
 // Whether terrain stands between a camera-relative position on the ground and the sky in a direction. What was drawn may
-// lie a little under the nodes that rays meet, and both are rounded: the ray starts just above the higher one.
+// lie a little under the nodes that rays meet, and both are rounded: the ray starts just above the higher one. The
+// direction is that of the sun whose ceilings are ready, if any are.
 fn occluded(position: vec3<f32>, direction: vec3<f32>) -> bool {
     let p = clamp_to_extent(ground_point(position));
     let level = traversal_level(p.cell);

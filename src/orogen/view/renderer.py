@@ -26,6 +26,7 @@ from orogen.pyramid.contract import Pyramid
 from orogen.raster.rasterizer import FOLDER as RASTER
 from orogen.raster.rasterizer import Rasterizer
 from orogen.raster.surface import Surface
+from orogen.shading.light import sun_of
 from orogen.shading.shade import Samples, Shading
 from orogen.shading.style import Style
 from orogen.streaming.clipmap import SEARCH, Clipmap
@@ -413,7 +414,7 @@ class Renderer:
         self, frame: Frame, surface: Surface, light: Samples, style: Style, *, last: bool = False
     ) -> None:
         self._frame = frame
-        self.view.update(frame)
+        self.view.update(frame, sun_of(style))
         encoder = self.gpu.encoder("frame")
         draws = self._state.record(encoder, self.timer, frame, self.view)
         edges = "wireframe" in style.overlays
