@@ -210,11 +210,13 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     steps += 1;
                     way_out = crossing_of(c, k, path);
                     if (k == 0u || steps > STEPS) { break; }
+                    if (ANY_HIT && over && k == CEILING_BITS) {
+                        clear = sheared >= ceiling_over(node.slot, c);
+                        if (clear) { break; }
+                    }
                     let highest = maximum_texel(node.slot, k, c >> vec2<u32>(k));
                     if (lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
-                        clear = ANY_HIT && over && k == CEILING_BITS && sheared >= ceiling_over(node.slot, c);
-                        if (clear) { break; }
-                        k -= 1u;
+                        k = select(k - 1u, 0u, STAYS_ABOVE && k == CEILING_BITS);
                         continue;
                     }
                     side = ABOVE;
@@ -254,7 +256,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     let before = c;
                     c = next_cell(c, 0u, way_out, t, path);
                     let moved = (before.x ^ c.x) | (before.y ^ c.y);
-                    if ((moved >> 1u) != 0) { k = select(1u, CEILING_BITS, (moved >> CEILING_BITS) != 0); }
+                    if ((moved >> CEILING_BITS) != 0) { k = CEILING_BITS; }
                     continue;
                 }
                 if (side == UNKNOWN) { side = select(ABOVE, BELOW, f0 <= 0.0); }
