@@ -116,8 +116,8 @@ def test_only_declared_libraries_are_imported() -> None:
 
 def test_import_is_light() -> None:
     code = (
-        "import json, sys, time; start = time.perf_counter(); import orogen; "
-        "print(json.dumps([time.perf_counter() - start, sorted(sys.modules)]))"
+        "import json, sys, time; start = time.process_time(); import orogen; "
+        "print(json.dumps([time.process_time() - start, sorted(sys.modules)]))"
     )
     runs = []
     for _ in range(3):

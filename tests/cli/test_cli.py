@@ -165,11 +165,11 @@ def test_bad_places_are_told_before_anything_is_drawn(call, dem, tmp_path):
         (["-o", tmp_path / "a.png", "--depth", tmp_path / "a.png"], "expected the suffix .npy or .tif"),
         (["-o", tmp_path / "a.png", "--position", tmp_path / "no" / "a.npy"], "does not exist"),
     ]:
-        start = time.perf_counter()
+        start = time.process_time()
         code, out, err = call("render", dem, *arguments)
         assert (code, out) == (1, "")
         assert message in err
-        assert time.perf_counter() - start < 1.0
+        assert time.process_time() - start < 1.0
     assert [path.name for path in tmp_path.iterdir()] == ["there.png"]
     assert (tmp_path / "there.png").read_bytes() == b"kept"
 
