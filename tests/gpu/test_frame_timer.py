@@ -47,7 +47,7 @@ def test_times_by_name_add_up(gpu, spin):
     if "timestamp-query" not in gpu.features:
         pytest.skip("the adapter has no timestamps")
     timer = gpu.timer()
-    # a software driver's threads write the timestamps: where cores are busy, one that is late stretches or shrinks a pass
+    # threads of a software driver write the timestamps: on busy cores a late one stretches or shrinks a pass
     longest, shortest = 0.0, math.inf
     for _ in range(8):
         encoder = gpu.encoder("frame")
