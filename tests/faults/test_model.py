@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
+from itertools import count
 from typing import Any
 
 import hypothesis.strategies as st
@@ -154,9 +155,9 @@ class Model(RuleBasedStateMachine):
     def break_blocks(self, blocks: frozenset[tuple[int, int]]) -> None:
         self.source.bad = blocks
 
-    @rule(count=st.integers(1, 4))
-    def break_uploads(self, count: int) -> None:
-        self.uploads_to_fail = count
+    @rule(number=st.integers(1, 4))
+    def break_uploads(self, number: int) -> None:
+        self.uploads_to_fail = number
 
     @rule()
     def repair(self) -> None:
@@ -174,11 +175,11 @@ class Model(RuleBasedStateMachine):
     def settle(self) -> None:
         """Without faults everything comes; with them the call ends all the same."""
         deadline = time.monotonic() + 20
-        while True:
+        for tries in count(1):
             self.clipmap.settle()
             if self.source.bad or not self.clipmap.heights.failed:
                 break
-            assert time.monotonic() < deadline, "does not converge"
+            assert tries < 200 or time.monotonic() < deadline, "does not converge"
             time.sleep(0.01)
         if not self.source.bad:
             self.repair()

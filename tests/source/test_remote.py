@@ -218,7 +218,7 @@ def test_a_server_that_stops_is_given_up(site: Site, monkeypatch: pytest.MonkeyP
     start = time.perf_counter()
     with pytest.raises(SourceError, match="check the network"):
         open_height(f"{site.url}/dem.tif")
-    assert time.perf_counter() - start < 20
+    assert time.perf_counter() - start < 30 * len(site.requests), "the server would have gone on after 30 s"
 
 
 def test_no_server_is_one_error(site: Site) -> None:

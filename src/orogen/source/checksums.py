@@ -14,14 +14,39 @@ from orogen.errors import SourceError
 from orogen.source.imagine import check_imagine
 from orogen.source.raster import RasterFile
 
+SHOWN = 4
+"""Times the samples of a VRT that are checked in the files that it shows, at most."""
+
 
 def check_blocks(file: RasterFile) -> None:
     """SourceError where a block of a deflate TIFF's first band on this machine is not what was written, or an IMAGINE
-    file's is short.
+    file's is short; of a VRT, in the files that it shows.
 
     GDAL leaves samples unset where such a block ends early, and shows whatever a flipped bit makes of it. Takes as
-    long as decompressing the raster: meant for those that are read whole.
+    long as decompressing the raster: meant for those that are read whole. Of files that a VRT shows little of only the
+    first are checked.
     """
+    with file.handle() as dataset:
+        parts = [name for name in dataset.files if name != file.path] if dataset.driver == "VRT" else []
+        left = SHOWN * dataset.width * dataset.height
+    _check_file(file)
+    for part in map(RasterFile, filter(os.path.isfile, parts)):
+        try:
+            with part.handle() as dataset:
+                left -= dataset.width * dataset.height
+        except SourceError:
+            continue  # bare samples, or what lies beside a raster
+        finally:
+            part.close()
+        if left < 0:
+            return
+        try:
+            _check_file(part)
+        except SourceError as error:
+            raise SourceError(f"{file.path}: shows {error}") from error
+
+
+def _check_file(file: RasterFile) -> None:
     if not os.path.isfile(file.path):
         return  # on a server, inside an archive or in memory
     check_imagine(file.path)

@@ -42,17 +42,22 @@ def open_height(data: Any, options: HeightOptions) -> Source:
     file = open_raster(data)
     wanted = parse_crs(options.crs) if options.crs is not None else None
     with file.handle() as dataset:
-        encoded = _check_bands(dataset, file, options)
-        packed = encoded is not None
+        encoding = packing(dataset, file.path, options)
+        packed = encoding is not None
+        if options.encoding is None:
+            _tell(dataset, file.path, encoding)
         _check_place(dataset, file.path, options)
         own = dataset.crs
         transform = None if dataset.transform.is_identity else affine(dataset)
         warped = not (own is None or wanted is None or options.spacing or transform is None or same_place(own, wanted))
         vertical = vertical_of(own, wanted, file.path)
+        if dataset.driver == "BAG":  # heights upwards, whatever its CRS says: so the format has it
+            vertical = replace(vertical, down=False)
         unit = vertical_unit(options.vertical_units, dataset.units[0], vertical.unit, file.path)
         declared = dataset.nodata if options.nodata is None else options.nodata
         given = options.height_scale, options.height_offset
-        stored = encoded or Values.told(file.path, declared, (dataset.scales[0], dataset.offsets[0]), given)
+        own_scale = dataset.scales[0], dataset.offsets[0]
+        stored = encoding_named(encoding) if encoding else Values.told(file.path, declared, own_scale, given)
         values = stored.converted(options.height_scale, options.height_offset, metres_per_unit(unit, vertical.down))
         masked = not {"all_valid", "nodata"} & {flag.name for flag in dataset.mask_flag_enums[0]}
         samples = _samples(file, dataset, masked, packed)
@@ -166,12 +171,12 @@ def _check_place(dataset: Any, path: str, options: HeightOptions) -> None:
             )
 
 
-def _check_bands(dataset: Any, file: RasterFile, options: HeightOptions) -> Values | None:
-    """Refuse what is no raster of heights; how heights are packed into three bands of colour, or None."""
+def packing(dataset: Any, path: str, options: HeightOptions) -> str | None:
+    """How heights are packed into three bands of colour, None where the first holds them; SourceError without any."""
     dtype = dataset.dtypes[0]
     if dtype not in HEIGHTS:
         raise SourceError(
-            f"{file.path}: {'complex numbers' if dtype.startswith('complex') else 'samples'} ({dtype}), expected "
+            f"{path}: {'complex numbers' if dtype.startswith('complex') else 'samples'} ({dtype}), expected "
             "heights as integers or floats; make a raster of real numbers of it first (gdal_translate, gdal_calc)"
         )
     meanings = [meaning.name for meaning in dataset.colorinterp]
@@ -179,23 +184,28 @@ def _check_bands(dataset: Any, file: RasterFile, options: HeightOptions) -> Valu
     rgb = meanings[:3] == ["red", "green", "blue"] and dtype == "uint8"
     if options.encoding is not None:
         if not rgb:
-            raise SourceError(f"{file.path}: encoding= is for pictures of red, green and blue; leave it out")
-        return encoding_named(options.encoding)
-    if coloured and options.height_scale is None:
-        if rgb and (encoding := _encoding(dataset)):
-            log.warning("%s: taken as heights packed into colours (%s)", file.path, encoding)
-            return encoding_named(encoding)
-        raise SourceError(
-            f"{file.path}: a picture of {dataset.count} band(s) of colour, expected one band of heights; "
-            "drape it as color= instead, give encoding= if its colours hold heights, or "
-            "height_scale= if its first band does"
-        )
-    if sum(meaning != "alpha" for meaning in meanings) > 1:
+            raise SourceError(f"{path}: encoding= is for pictures of red, green and blue; leave it out")
+        return options.encoding
+    if not coloured or options.height_scale is not None:
+        return None
+    if rgb and (encoding := _encoding(dataset)):
+        return encoding
+    raise SourceError(
+        f"{path}: a picture of {dataset.count} band(s) of colour, expected one band of heights; "
+        "drape it as color= instead, give encoding= if its colours hold heights, or "
+        "height_scale= if its first band does"
+    )
+
+
+def _tell(dataset: Any, path: str, encoding: str | None) -> None:
+    """Say how the bands were understood, where others might be meant."""
+    if encoding is not None:
+        log.warning("%s: taken as heights packed into colours (%s)", path, encoding)
+    elif sum(meaning.name != "alpha" for meaning in dataset.colorinterp) > 1:
         log.warning(
             "%s: has %d bands, taking the first as heights; name another as vrt://%s?bands=2",
-            file.path, dataset.count, file.path,
+            path, dataset.count, path,
         )  # fmt: skip
-    return None
 
 
 def _is_grey(dataset: Any) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -24,6 +25,9 @@ GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, ValueError, MemoryError)
 
 MAY_HOLD_JPEG2000 = {"JP2OpenJPEG", "VRT", "NITF", "GRIB", "PDF"}
 """Drivers, as those of warped rasters, below which JPEG 2000 may lie."""
+
+UNREAD = re.compile(r"(.+), band \d+: IReadBlock failed at ")
+"""What GDAL says of a block that it cannot read."""
 
 _heard = threading.local()
 
@@ -70,4 +74,14 @@ def cause(error: BaseException) -> str:
     """The innermost message of GDAL."""
     while error.__cause__ is not None:
         error = error.__cause__
-    return str(getattr(error, "errmsg", None) or error) or type(error).__name__
+    return str(getattr(error, "errmsg", None) or error).strip() or type(error).__name__
+
+
+def damaged_part(error: BaseException) -> str | None:
+    """The name, without folder, of the file of which GDAL could not read a block, such as one that a VRT shows."""
+    at: BaseException | None = error
+    while at is not None:
+        if found := UNREAD.match(str(at)):
+            return found[1]
+        at = at.__cause__
+    return None

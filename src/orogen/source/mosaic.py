@@ -17,9 +17,10 @@ from orogen.grid import Grid
 from orogen.source import files
 from orogen.source.contract import Source
 from orogen.source.georeference import affine, make_grid, same_place
+from orogen.source.names import is_local
 from orogen.source.options import ColourOptions, HeightOptions
 from orogen.source.parts import MosaicSource, Part
-from orogen.source.raster import RasterFile, is_dataset, is_direct, is_local, open_raster
+from orogen.source.raster import RasterFile, is_dataset, is_direct, open_raster
 from orogen.source.scale import element, parse_crs
 from orogen.source.turn import full_turn
 from orogen.source.vertical import require_alike, vertical_reference
@@ -137,6 +138,7 @@ def _scanned(item: Any, options: HeightOptions) -> Part:
             raise SourceError(
                 f"{file.path}: has no georeference, which a mosaic needs; add a geotransform (gdal_translate -a_ullr)"
             )
+        files.packing(dataset, file.path, options)  # a picture among them is refused now, not when it is read
         own, wanted = dataset.crs, parse_crs(options.crs) if options.crs else None
         grid = make_grid(dataset.width, dataset.height, affine(dataset), own or wanted, None, file.path)
         part = Part(

@@ -14,6 +14,8 @@ SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
 """Bytes of a value by its type."""
 LONGEST = 2**40
 """Largest dimension, and number of values of a variable, that is believed."""
+STREAMING = (2**32 - 1, 2**64 - 1)
+"""Numbers of records that mean: as many as there are."""
 
 
 def check_netcdf(path: str) -> None:
@@ -41,8 +43,11 @@ class Header:
     """Where reading goes on."""
 
     def check(self) -> None:
-        """ValueError where a count, name, type or reference is impossible."""
-        self._number(8 if self.version == 5 else 4)  # records
+        """ValueError where a count, name, type or reference is impossible, or values lie beyond the end of the file.
+
+        The library takes what is missing for zeros.
+        """
+        records = self._number(8 if self.version == 5 else 4)
         lengths = []
         for _ in range(self._count(DIMENSIONS)):
             self._name()
@@ -50,6 +55,7 @@ class Header:
         if lengths and max(lengths) > LONGEST:
             raise ValueError(f"a dimension of {max(lengths)}")
         self._attributes()
+        variables = []
         for _ in range(self._count(VARIABLES)):
             self._name()
             axes = [self._size() for _ in range(self._bounded(self._size(), 4))]
@@ -58,10 +64,19 @@ class Header:
             if prod(lengths[axis] or 1 for axis in axes) > LONGEST:
                 raise ValueError("a variable of impossible size")
             self._attributes()
-            self._type()
+            size = self._type() * prod(lengths[axis] or 1 for axis in axes)
             self._size()
-            if self._number(4 if self.version == 1 else 8) > len(self.data):
+            start = self._number(4 if self.version == 1 else 8)
+            if start > len(self.data):
                 raise ValueError("a variable beyond the end of the file")
+            variables.append((start, size, any(lengths[axis] == 0 for axis in axes)))
+        for start, size, recorded in variables:
+            count = records if recorded and records not in STREAMING else 1
+            # of a record all variables have a part, filled up to four bytes unless there is but one
+            parts = [size for _, size, other in variables if other]
+            step = sum(size + -size % 4 for size in parts) if len(parts) > 1 else size
+            if count and start + (count - 1) * step + size > len(self.data):
+                raise ValueError(f"values up to byte {start + (count - 1) * step + size} of {len(self.data)}")
 
     def _number(self, size: int) -> int:
         if self.at + size > len(self.data):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from typing import Any, Literal, Protocol
 
@@ -11,6 +12,8 @@ from orogen.source.contract import Source
 from orogen.source.gdal import quietly
 from orogen.source.options import ColourOptions, HeightOptions
 from orogen.source.painted import Stops, open_painted
+
+log = logging.getLogger("orogen")
 
 
 class Opener(Protocol):
@@ -67,7 +70,10 @@ def open_height(
         name = data if isinstance(data, str | os.PathLike) else type(data).__name__
         raise SettingsError(f"{name}: zoom= and area= are for trees of map tiles; leave them out")
     with quietly():
-        return opener.open_height(data, options)
+        source = opener.open_height(data, options)
+    if min(source.grid.shape) == 1:
+        log.warning("%s: a single row or column of samples spans no surface, nothing will be seen of it", source.name)
+    return source
 
 
 def open_colour(

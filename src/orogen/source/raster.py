@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import stat
 import threading
 import warnings
@@ -25,12 +24,12 @@ from rasterio.io import DatasetWriter, MemoryFile
 from rasterio.vrt import WarpedVRT
 
 from orogen.errors import SourceError
-from orogen.source.gdal import GDAL_ERRORS, cause, strictly
-from orogen.source.hdf5 import check_hdf5
-from orogen.source.jpeg2000 import check_jpeg2000
-from orogen.source.netcdf import check_netcdf
+from orogen.source.cutoff import check_length
+from orogen.source.gdal import GDAL_ERRORS, cause, damaged_part, strictly
+from orogen.source.headers import check_headers
+from orogen.source.hints import hint
+from orogen.source.names import is_local
 from orogen.source.objects import is_remote, shown
-from orogen.source.vrt import check_vrt
 
 SEQUENTIAL = {"PNG", "JPEG", "GIF"}
 """Formats that can only be read from their start."""
@@ -40,18 +39,10 @@ LARGEST_BLOCK = 64 << 20
 """Bytes of a decoded block that are read whatever the size of the file."""
 PACKED = 32
 """Bytes of a decoded block, beyond that, for each byte of the file."""
-ARCHIVES = {
-    (".zip",): "zip://{}!dem.tif, by the name of the raster in it",
-    (".tar", ".tgz", ".tar.gz"): "tar://{}!dem.tif, by the name of the raster in it",
-    (".gz",): "gzip://{}",
-}
-"""How to open rasters in archives, by the ends of their names; the first that fits."""
 NETWORK = ("/vsicurl", "/vsis3", "/vsigs", "/vsiaz", "/vsiadls", "/vsioss", "/vsiswift", "/vsihdfs", "/vsiwebhdfs")
 """How GDAL's names of remote files begin."""
 REMOTE_BLOCK = 128 << 20
 """Bytes of a decoded block of a file whose size is not known."""
-NAMED = re.compile(r'(?:NETCDF:|HDF5:|vrt://|file://)(?:"([^"]+)"|(.*?)(?:[:?].*)?$)', re.IGNORECASE)
-"""Names, or names of parts, of files that are checked before they are opened."""
 NO_INTEGER = -3e38
 """A value that samples of no integer type have."""
 
@@ -131,12 +122,11 @@ class RasterFile:
         """What to raise for an error of GDAL's."""
         if isinstance(error, SourceError):
             return error
-        hint = ""
-        for suffixes, name in ARCHIVES.items():
-            if self.path.lower().endswith(suffixes) and "://" not in self.path:
-                hint = f"; open it as {name.format(self.path)}"
-                break
-        return SourceError(f"{self.path}: cannot be read as a raster: {cause(error).rstrip('.')}{hint}")
+        part = damaged_part(error)
+        where = f"{part}: " if part and part != os.path.basename(self.path) else ""
+        return SourceError(
+            f"{self.path}: cannot be read as a raster: {where}{cause(error).rstrip('.')}{hint(self.path)}"
+        )
 
     def overviews(self) -> list[tuple[RasterFile, tuple[int, int], tuple[int, int]]]:
         """The overviews in the file or beside it, the finest first, with their shapes and blocks; none if warped."""
@@ -194,6 +184,7 @@ def open_raster(data: Any) -> RasterFile:
             parts = ", ".join(dataset.subdatasets[:8]) or "none"
             raise SourceError(f"{file.path}: holds no raster band of its own; name one of its parts: {parts}")
         check_block(dataset, file.path)
+        check_length(dataset)
     return file
 
 
@@ -226,8 +217,7 @@ def _checked(text: str) -> str:
     if not text or "\0" in text:
         raise SourceError(f"{text!r}: expected the path of a raster")
     if not is_local(text):
-        if (named := NAMED.match(text)) and os.path.isfile(path := named[1] or named[2]):
-            _check_headers(path)
+        check_headers(text)
         return text
     if not os.path.exists(text):
         what = "a link that leads to no file" if os.path.islink(text) else "no such file"
@@ -240,14 +230,8 @@ def _checked(text: str) -> str:
     elif os.path.getsize(text) == 0:
         raise SourceError(f"{text}: an empty file of 0 bytes, expected a raster")
     else:
-        _check_headers(text)
+        check_headers(text)
     return os.path.abspath(text)
-
-
-def _check_headers(path: str) -> None:
-    """SourceError where a library below GDAL would crash, hang or show garbage rather than say what is damaged."""
-    for check in (check_netcdf, check_hdf5, check_jpeg2000, check_vrt):
-        check(path)
 
 
 def check_block(dataset: Any, name: str) -> None:
@@ -287,11 +271,6 @@ def _warped(dataset: Any, warp: Warp) -> Any:
     )
 
 
-def is_local(path: str) -> bool:
-    """Whether GDAL would take `path` for a file of this machine."""
-    return not (path.startswith("/vsi") or "://" in path or (":" in path[2:] and not os.path.exists(path)))
-
-
 def is_direct(dataset: Any) -> bool:
     """Whether 256 x 256 windows anywhere in a dataset are cheap: tiled, local, not a sequential format."""
     path = dataset.name
@@ -314,7 +293,7 @@ def is_sequential(dataset: Any) -> bool:
 def _part_is_direct(path: str) -> bool:
     try:
         with RasterFile(path).handle() as dataset:
-            return is_direct(dataset)
+            return dataset.count > 0 and is_direct(dataset)
     except SourceError:
         return False
 

@@ -74,7 +74,7 @@ def _large(samples: Samples, values: Values, facts: Facts, doubt: bool) -> Heigh
             values = replace(values, sentinels=possible_sentinels(*span, dtype))
     covered = not samples.masked and not values.possible(dtype)
     source = _source(samples, values, facts, covered)
-    if not known.size and not _any_valid(source):
+    if not everything.any() and not _any_valid(source):
         raise _no_samples(facts.name, values)
     return source
 

@@ -94,7 +94,7 @@ def _regex(piece: str) -> str:
 def template_of(data: str | os.PathLike[str]) -> Template | None:
     """The template of a folder of tiles or of a template's text; None where it is neither."""
     text = WMTS.sub(lambda found: "{" + _WMTS_FIELDS[found[1].lower()] + "}", os.fspath(data))
-    if "{z}" in text:
+    if "{z}" in text and not os.path.isfile(text):
         text = text.replace("{s}", "a")
         return Template(text if is_remote(text) else os.path.abspath(text))
     if is_remote(text) or not os.path.isdir(text):

@@ -152,14 +152,14 @@ def value_range(raw: NDArray[Any], usable: NDArray[np.bool_]) -> tuple[float, fl
 
 
 def hidden_sentinels(raw: NDArray[Any], usable: NDArray[np.bool_]) -> tuple[float, ...]:
-    """The undeclared nodata values among usable samples: usual sentinels far away from all other samples."""
+    """The undeclared nodata values among usable samples: usual sentinels far away from all other samples, or alone."""
     found: list[float] = []
     usable = usable.copy()
     while span := value_range(raw, usable):
         for end in span:
             others = usable & (raw != raw.dtype.type(end))
             rest = value_range(raw, others)
-            if rest and stands_apart(end, *rest, raw.dtype):
+            if stands_apart(end, *(rest or (math.inf, -math.inf)), raw.dtype):
                 found.append(end)
                 usable = others
                 break

@@ -92,9 +92,9 @@ class Ceilings:
         layer = self._layer
         self._builder = self._builder or CeilingBuilder(self._gpu, layer, self._bits)
         if sun != self._sun:
+            self._builder.shine(sun)  # first: where it fails, the sun is not the chosen one
             self._sun, self._ready_for = sun, -1
             self._made.clear()
-            self._builder.shine(sun)
         if self._ready_for != layer.version:
             self._made -= layer.refilled
             layer.refilled.clear()
