@@ -1,4 +1,5 @@
-"""Makes the pictures of docs/view.md and docs/serve.md anew: of a real window on a virtual display, and of a browser.
+"""Makes the pictures of docs/view.md and docs/serve.md anew: of a real window on a virtual display, of a browser and,
+where JupyterLab is installed, of a notebook.
 
     python tools/view_pictures.py ../shared/data/bigtujunga_30m_utm.tif
 
@@ -18,7 +19,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from oracle import chromium  # noqa: E402
+from oracle import chromium, lab  # noqa: E402
 from oracle.desktop import Desktop, Display  # noqa: E402
 
 SIZE = (1280, 720)
@@ -97,6 +98,29 @@ def browser_picture(data, folder):
             drawing.join()
 
 
+def notebook_picture(data, folder):
+    """A notebook in JupyterLab."""
+    cells = [
+        f"import orogen\n\nterrain = orogen.open({Path(data).name!r})\nterrain.shape, terrain.height_range",
+        "view = terrain.view(size=(860, 480))\nview",
+    ]
+    (folder / "lab").mkdir()
+    (folder / "lab" / Path(data).name).symlink_to(data)
+    lab.write(folder / "lab" / "valley.ipynb", cells)
+    near_now = (
+        "import view_pictures; view.window.controls.go_to(view_pictures.near(view.session)); view.window.handle("
+        "{'event_type': 'key_down', 'key': 'F13', 'modifiers': ()})"
+    )
+    with lab.Lab(folder / "lab", (1100, 810)) as page:
+        page.open("valley.ipynb")
+        page.run(0)
+        page.run(1)
+        page.settled(1)
+        page.execute(near_now)
+        page.settled(1)
+        keep(Image.open(io.BytesIO(page.browser.picture())), "view-notebook.jpg")
+
+
 def main(data):
     """Make all of them."""
     with tempfile.TemporaryDirectory() as name:
@@ -106,6 +130,8 @@ def main(data):
         with Display(SIZE) as display:
             window_pictures(display, Path(data).resolve(), folder)
         browser_picture(str(Path(data).resolve()), folder)
+        if not lab.missing():
+            notebook_picture(str(Path(data).resolve()), folder)
 
 
 if __name__ == "__main__":

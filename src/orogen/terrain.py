@@ -222,16 +222,18 @@ class Terrain(Dataset):
         Raises OutputError where no window can be opened.
         """
         from orogen.view.notebook import NotebookView, in_notebook
+        from orogen.view.opening import Shared
         from orogen.view.session import Session
         from orogen.view.window import Window
 
         def opener(text: str) -> Terrain:
             return open_terrain(text, build="background")
 
-        session = Session(self, style, scene, camera=camera, opener=opener)
         if in_notebook():
+            session = Session(Shared(self), style, scene, camera=camera, opener=opener, owned=True)
             size = size or (960, 540)
             return NotebookView(self, session, size=size, title=title or "", panel=panel, owned=owned)
+        session = Session(self, style, scene, camera=camera, opener=opener)
         window = Window(session, size=size or (1280, 720), title=title or f"{self.name} - orogen", panel=panel)
         try:
             window.run()

@@ -8,7 +8,7 @@ from rasterio.warp import transform
 from orogen.errors import SettingsError
 from orogen.grid import Grid
 from orogen.view.measure import Ruler, distance_text, place_text
-from orogen.view.overlay import nice_length, projected
+from orogen.view.overlay import nice_length, nice_text, projected
 from orogen.view.sun import parse_time, sun_position
 
 UTM = Grid(400, 300, (30.0, 0.0, 390000.0, 0.0, -30.0, 3800000.0), "EPSG:32611")
@@ -106,6 +106,10 @@ def test_the_sun():
 @pytest.mark.parametrize(("longest", "nice"), [(9.99, 5), (10, 10), (1234, 1000), (0.3, 0.2), (49, 20), (5e5, 5e5)])
 def test_lengths_of_scale_bars(longest, nice):
     assert nice_length(longest) == pytest.approx(nice)
+
+
+def test_scale_bars_say_no_more_than_they_know():
+    assert [nice_text(v) for v in (0.5, 200.0, 1000.0, 5e4, 2e6)] == ["0.5 m", "200 m", "1 km", "50 km", "2,000 km"]
 
 
 def test_distances_for_people():

@@ -1,3 +1,4 @@
+import asyncio
 import base64
 import io
 import json
@@ -116,37 +117,151 @@ def test_without_a_widget_there_is_a_picture(terrain, kernel, monkeypatch, caplo
     view.close()
 
 
-def test_the_widget_draws_what_the_front_end_asks_for(terrain, kernel):
-    """The front end's part is played by hand: it says its size, and that it has shown what came."""
-    pytest.importorskip("anywidget")
-    import asyncio
+class Page:
+    """The front end's part, played by hand: it says its size, and what it has shown."""
 
+    def __init__(self, view, size=(160, 90)):
+        self.widget, self.sent = view.window.canvas, []
+        self.widget.send = lambda message, buffers=None: self.sent.append((message, buffers))
+        place = {"width": size[0], "height": size[1], "pwidth": size[0], "pheight": size[1], "ratio": 1.0}
+        self.tell("resize", **place)
+        self.seen(True)
+
+    def tell(self, kind, **event):
+        self.widget._handle_custom_msg({"type": kind, "timestamp": 0, "modifiers": [], **event}, [])
+
+    def seen(self, whether):
+        self.widget._has_visible_views = whether
+
+    def confirm(self):
+        """Say that all pictures so far are shown."""
+        if self.sent:
+            index = self.sent[-1][0]["index"]
+            self.widget._frame_feedback = {"index": index, "timestamp": 0, "localtime": 0}
+
+    async def frames(self, count, confirm=True):
+        """Wait for so many pictures."""
+        end = len(self.sent) + count
+        for _ in range(400):
+            await asyncio.sleep(0.02)
+            if confirm:
+                self.confirm()
+            if len(self.sent) >= end:
+                return
+        raise AssertionError(f"{end - len(self.sent)} pictures never came")
+
+
+def played(terrain, play, *more):
+    """Play with views of a terrain."""
+    pytest.importorskip("anywidget")
+
+    async def run():
+        views = [terrain.view(size=(160, 90), panel=False, **options) for options in ({}, *more)]
+        try:
+            await play(*views)
+        finally:
+            for view in views:
+                view.close()
+            terrain.renderer.gpu.wait()
+            await asyncio.sleep(0.1)
+
+    asyncio.run(run())
+
+
+def test_the_widget_draws_what_the_front_end_asks_for(terrain, kernel):
     sent = []
 
-    async def play():
-        view = terrain.view(size=(160, 90), panel=False)
-        widget = view.window.canvas
-        widget.send = lambda message, buffers=None: sent.append((message, buffers))
-        size = {"width": 160, "height": 90, "pwidth": 160, "pheight": 90, "ratio": 1.0, "timestamp": 0}
-        widget._rfb_handle_msg(widget, {"type": "resize", **size}, [])
-        widget._has_visible_views = True
-        for _ in range(100):
-            await asyncio.sleep(0.05)
-            if sent:
-                widget._frame_feedback = {"index": sent[-1][0]["index"], "timestamp": 0, "localtime": 0}
-            if len(sent) >= 3:
-                break
-        view.close()
-        # what the GPU still reads back comes through this loop
-        terrain.renderer.gpu.wait()
-        await asyncio.sleep(0.1)
+    async def play(view):
+        page = Page(view)
+        await page.frames(3)
+        sent.extend(page.sent)
 
-    asyncio.run(play())
+    played(terrain, play)
     message, buffers = sent[-1]
     picture = np.asarray(Image.open(io.BytesIO(buffers[0])))
     assert message["type"] == "framebufferdata"
     assert picture.shape[:2] == (90, 160)
     assert picture[..., :3].std() > 5
+
+
+def test_a_page_that_is_loaded_again_in_a_flight_goes_on(terrain, kernel):
+    async def play(view):
+        page = Page(view)
+        await page.frames(2)
+        page.tell("key_down", key="Tab")
+        page.tell("key_down", key="w")
+        await page.frames(3)
+        # two pictures are under way when it goes; nobody confirms them
+        await page.frames(2, confirm=False)
+        page.seen(False)
+        again = Page(view)
+        await again.frames(3)
+        # nor did anybody tell that the key was released
+        assert not view.window.controls._keys
+
+    played(terrain, play)
+
+
+def test_views_of_one_terrain_go_their_own_ways(terrain, kernel):
+    async def play(one, other):
+        pages = Page(one), Page(other, (120, 100))
+        for page in pages:
+            await page.frames(2)
+        shown = one.window.session.pick(80, 60)
+        camera = one.window.controls.camera
+        pages[1].tell("wheel", x=60, y=60, dx=0.0, dy=-300.0)
+        await pages[1].frames(3)
+        assert one.window.controls.camera == camera
+        assert one.window.session.pick(80, 60) == shown
+        other.session.use("brute")
+        assert one.session.renderer.algorithm.name != "brute"
+        # one that nobody sees holds no pictures
+        before = terrain.renderer.gpu.memory.total
+        pages[1].seen(False)
+        assert terrain.renderer.gpu.memory.total < before - 100_000
+        pages[1].seen(True)
+        await pages[1].frames(1)
+        assert other.session.renderer.shown is not None
+
+    played(terrain, play, {})
+
+
+def test_a_device_that_is_lost_with_a_picture_under_way(kernel):
+    async def play(view):
+        page = Page(view)
+        await page.frames(1)
+        lost = view.session.device
+        lost.destroy()
+        page.tell("wheel", x=80, y=60, dx=0.0, dy=-100.0)
+        await page.frames(4)
+        assert view.session.device is not lost
+        assert view.window.error is None
+
+    with orogen.open(np.zeros((40, 40), np.float32), spacing=30.0) as own:
+        played(own, play)
+
+
+def test_a_view_that_ends_says_so_above_its_picture(kernel, caplog):
+    terrain = orogen.open(np.zeros((40, 40), np.float32), spacing=30.0)
+
+    async def run():
+        view = terrain.view(size=(160, 90), panel=False)
+        page = Page(view)
+        await page.frames(1)
+        terrain.close()
+        page.tell("pointer_down", x=80, y=60, button=1, buttons=[1])
+        for _ in range(400):
+            await asyncio.sleep(0.02)
+            page.confirm()
+            page.tell("pointer_move", x=80, y=60, button=0, buttons=[1])
+            if page.widget._title:
+                break
+        assert "expected an open terrain" in page.widget._title
+        view.close()
+
+    pytest.importorskip("anywidget")
+    asyncio.run(run())
+    assert "the view has ended" in caplog.text
 
 
 def test_closing_gives_the_terrain_back_where_it_is_the_view_s_own(kernel, monkeypatch):

@@ -3,7 +3,9 @@ import json
 import numpy as np
 import pytest
 
+from orogen.view import overlay
 from orogen.view.flying import FlyControls
+from orogen.view.window import PROGRESS
 
 GROUND = (650, 480)
 """A logical pixel beside the panel that shows ground."""
@@ -199,3 +201,67 @@ def test_comparing_from_the_panel(hands):
         hands.draw()
     assert "nowhere.tif" in session.problem
     assert session.second.label == "cdlod pixels_per_quad=32"
+
+
+def test_a_lost_device_leaves_the_panel_as_it_was(hands):
+    """What is open, half typed, measured and kept is still there, and looks as before."""
+    panel, window = hands.window.panel, hands.window
+    hands.draw(3)
+    hands.click("Algorithm")
+    hands.click("Move")
+    panel.keyframes.add(window.controls.camera)
+    panel.points = [(1000.0, -1000.0, 600.0)]
+    hands.click("go to")
+    for letter in "12, 3":
+        hands.send("char", data=letter)
+    before = hands.settle()
+    places = dict(panel.widgets.places)
+    lost = window.session.device
+    lost.destroy()
+    hands.press("Shift")
+    after = hands.settle()
+    assert window.session.device is not lost
+    assert window.panel is panel
+    assert panel.widgets.places == places
+    assert panel._gui.typing
+    assert len(panel.points) == 1
+    assert len(panel.keyframes.cameras) == 1
+    assert (np.abs(after.astype(int) - before).max(axis=-1) > 8).mean() < 0.002
+    hands.send("char", data="4")
+    hands.press("Enter")
+    hands.draw(2)
+    assert "go to" not in panel.widgets.problems
+    assert window.controls.moving
+
+
+def test_in_a_narrow_window_the_panel_is_a_button_at_first(hands):
+    panel = hands.window.panel
+    hands.canvas.set_logical_size(320, 240)
+    hands.draw(3)
+    assert panel.folded
+    assert panel.width == 0
+    assert "Look" not in panel.widgets.places
+    hands.click("panel (P)")
+    hands.draw(3)
+    assert not panel.folded
+    assert "Look" in panel.widgets.places
+    hands.press("p")
+    hands.draw(2)
+    assert not panel.visible
+    hands.press("p")
+    assert panel.visible
+    assert not panel.folded
+
+
+def test_the_picture_tells_how_far_its_data_are_prepared(hands, monkeypatch):
+    written = []
+    draw = overlay.draw_text
+    monkeypatch.setattr(overlay, "draw_text", lambda *given: (written.append(given[4]), draw(*given)))
+    hands.settle()
+    assert not [text for text in written if "preparing" in text]
+    heights = hands.window.session.data.heights
+    monkeypatch.setattr(type(heights), "progress", 0.37)
+    hands.draw()
+    assert "preparing the data for fast access: 37 %" in written
+    # it goes on by itself
+    assert hands.window._rest() == PROGRESS

@@ -8,6 +8,7 @@ import pytest
 from orogen.errors import SettingsError
 from orogen.lod import algorithms
 from orogen.view.forms import changed, form_of
+from orogen.view.widgets import shortened
 
 TEXTS = ("nonsense", "", "nan", "inf", "-1e30", "1e400", "0", "9" * 40, "\x00", "1 2 3", "../..", "%s%n", "ä" * 300)
 NUMBERS = (math.nan, math.inf, -math.inf, -1e30, 1e30, 0.0, -1.0)
@@ -121,3 +122,51 @@ def problem(kind, name, field, text):
     except SettingsError as error:
         return str(error)
     return ""
+
+
+def test_nonsense_that_is_typed_into_a_slider_is_told_beside_it(panel, hands, monkeypatch):
+    """A double click or Ctrl-click makes a text field of it."""
+    monkeypatch.setattr(panel.widgets, "section", lambda name, open=False: name == "Look")
+    hands.draw(3)
+    session = hands.window.session
+    before, sun = session.scene.exaggeration, session.style.sun
+    for text in ("letters", "nan", "1e400", "-5", "", "9" * 60, "ä漢" * 40):
+        panel.widgets.problems.clear()
+        hands.draw(4)
+        hands.send("key_down", key="Control")
+        hands.click("exaggeration")
+        hands.send("key_up", key="Control")
+        hands.send("key_down", key="Backspace")  # all of it is selected
+        hands.draw()
+        hands.send("key_up", key="Backspace")
+        for letter in text:
+            hands.send("char", data=letter)
+        hands.draw()
+        hands.press("Enter")
+        hands.settle()
+        assert "expected" in panel.widgets.problems["exaggeration"], text
+        assert len(panel.widgets.problems) == 1
+        assert (session.scene.exaggeration, session.style.sun) == (before, sun)
+        assert not panel._gui.typing
+    panel.widgets.problems.clear()
+    hands.draw(4)
+    x, y = panel.widgets.places["sun height (°)"]
+    hands.send("pointer_move", x=x, y=y)
+    hands.draw()
+    for kind in 2 * ("pointer_down", "pointer_up"):
+        hands.send(kind, x=x, y=y)
+        hands.draw()
+    for letter in "52":
+        hands.send("char", data=letter)
+    hands.draw()
+    hands.press("Enter")
+    hands.settle()
+    assert session.style.sun[1] == 52
+    assert not panel.widgets.problems
+
+
+def test_messages_and_names_stay_short(panel, hands):
+    assert len(shortened("a" + "x" * 5000 + ": no such file")) < 320
+    assert shortened("x" * 5000 + ": no such file").endswith(": no such file")
+    assert not panel.widgets.attempt("bookmark", lambda: panel.add_bookmark("x" * 61))
+    assert "1 to 60 letters" in panel.widgets.problems["bookmark"]

@@ -22,6 +22,7 @@ from orogen.gpu.checked import checked
 from orogen.gpu.commands import Commands
 from orogen.gpu.driver import open_driver
 from orogen.gpu.formats import texture_bytes
+from orogen.gpu.interrupts import uninterrupted
 from orogen.gpu.memory import MemoryAccount
 from orogen.gpu.readback import ROW_ALIGNMENT, Readback, StagingPool
 from orogen.gpu.resources import Buffer, Texture
@@ -410,15 +411,16 @@ class Gpu:
 
     def submit(self, encoder: Encoder) -> None:
         """Finish an encoder and hand its commands to the GPU. Wrong draws and dispatches raise `GpuError` here."""
-        with checked(f"commands {encoder.label!r}"):
-            if isinstance(encoder, Commands):
-                encoder.submit()
-            else:
-                self.device.queue.submit([encoder.finish(label=encoder.label)])
-        with self._lock:
-            calls = self._after.pop(encoder, [])
-        for call in calls:
-            call()
+        with uninterrupted():
+            with checked(f"commands {encoder.label!r}"):
+                if isinstance(encoder, Commands):
+                    encoder.submit()
+                else:
+                    self.device.queue.submit([encoder.finish(label=encoder.label)])
+            with self._lock:
+                calls = self._after.pop(encoder, [])
+            for call in calls:
+                call()
 
     def after(self, encoder: Encoder, call: Callable[[], None]) -> None:
         """Have `submit` make a call as soon as it has handed over this encoder's commands."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from orogen.errors import GpuError
 from orogen.gpu.checked import checked
+from orogen.gpu.interrupts import uninterrupted
 from orogen.gpu.resources import Buffer
 
 ROW_ALIGNMENT = 256
@@ -83,7 +84,7 @@ class Readback:
     def begin(self) -> None:
         """Ask for the data; the copy into the staging buffer has been submitted."""
         assert self._staging is not None
-        with checked(self._label):
+        with checked(self._label), uninterrupted():
             # "READ" would submit an empty command buffer first
             self._mapping = self._staging.raw.map_async("READ_NOSYNC")
 

@@ -36,6 +36,12 @@ class Pyramid:
         self._failure: BaseException | None = None
         self._closing: list[Callable[[], object]] = []
         self._estimating = threading.Lock()
+        self._progress: float | None = None
+
+    @property
+    def progress(self) -> float | None:
+        """The part (0 to 1) that is done of a build that goes on; None where none does."""
+        return None if self._done.is_set() else self._progress
 
     @property
     def built(self) -> bool:

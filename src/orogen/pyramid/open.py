@@ -95,6 +95,7 @@ def _build(pyramid: Pyramid, target: Path | None, stop: threading.Event, report:
     name = Path(source.name).name
 
     def progress(fraction: float) -> None:
+        pyramid._progress = fraction
         report(fraction, f"building the pyramid of {name}")
 
     try:

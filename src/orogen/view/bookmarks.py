@@ -25,6 +25,10 @@ def bookmark_folder() -> Path:
     return (Path(given) if given else user_config_path("orogen", appauthor=False)) / "bookmarks"
 
 
+LONGEST = 60
+"""Letters of a name."""
+
+
 class Bookmarks:
     """The bookmarks of one data set; every change is written at once."""
 
@@ -42,10 +46,10 @@ class Bookmarks:
         return self._cameras
 
     def add(self, name: str, camera: Camera) -> None:
-        """Keep a camera. Raises SettingsError for an empty name, OutputError where it cannot be written."""
+        """Keep a camera. Raises SettingsError for a name that cannot be, OutputError where it cannot be written."""
         name = name.strip()
-        if not name:
-            raise SettingsError("bookmark: expected a name, got none")
+        if not 0 < len(name) <= LONGEST:
+            raise SettingsError(f"bookmark: expected a name of 1 to {LONGEST} letters, got {len(name)}")
         self._write({**self._cameras, name: camera})
 
     def remove(self, name: str) -> None:

@@ -50,26 +50,51 @@ class Gui:
 
     def __init__(self, device: wgpu.GPUDevice, format: str, build: Callable[[], None]) -> None:
         """`format`: of the textures that are drawn to."""
-        import imgui_bundle
         from imgui_bundle import imgui, implot
-        from wgpu.utils.imgui import ImguiWgpuBackend
 
         self._imgui, self._implot = imgui, implot
         self._build = build
-        self._device = device
-        self._context = imgui.create_context()
-        imgui.set_current_context(self._context)
-        self._plots = implot.create_context()
-        self._backend = ImguiWgpuBackend(device, format)
         self._keys = _key_map()
         self._boxes: list[Box] = []
         self._held = False
         self._pending = SETTLE
-        io = self._backend.io
+        self._whole = True  # whether the latest frame was not broken off between its widgets
+        self._open(device, format)
+
+    def _open(self, device: wgpu.GPUDevice, format: str) -> None:
+        """Begin with nothing open, typed or scrolled."""
+        import imgui_bundle
+
+        imgui = self._imgui
+        self._context = imgui.create_context()
+        imgui.set_current_context(self._context)
+        self._plots = self._implot.create_context()
+        self._use(device, format)
         font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
         if font.is_file():
-            io.fonts.add_font_from_file_ttf(str(font), FONT_SIZE)
+            self._backend.io.fonts.add_font_from_file_ttf(str(font), FONT_SIZE)
         _style(imgui)
+
+    def _use(self, device: wgpu.GPUDevice, format: str) -> None:
+        from wgpu.utils.imgui import ImguiWgpuBackend
+
+        self._device = device
+        self._backend = ImguiWgpuBackend(device, format)
+
+    def renew(self, device: wgpu.GPUDevice, format: str) -> None:
+        """Draw with another device, and keep what is open, typed and scrolled."""
+        if not self._whole:
+            self.close()
+            self._open(device, format)
+            return
+        self._imgui.set_current_context(self._context)
+        self._use(device, format)
+        for texture in self._imgui.get_platform_io().textures:
+            part = texture.update_rect
+            part.x, part.y, part.w, part.h = 0, 0, texture.width, texture.height
+            texture.set_tex_id(0)
+            texture.set_status(self._imgui.ImTextureStatus.want_create)
+        self._pending = SETTLE
 
     @property
     def settling(self) -> bool:
@@ -126,9 +151,11 @@ class Gui:
         io.display_size, io.display_framebuffer_scale = size, (pixel_ratio, pixel_ratio)
         self._pending = max(0, self._pending - 1)
         self._new_boxes: list[Box] = []
+        self._whole = False
         imgui.new_frame()
         try:
             self._build()
+            self._whole = True
         finally:
             imgui.render()
         self._boxes = self._new_boxes
@@ -175,4 +202,8 @@ def _style(imgui: Any) -> None:
     style.set_color_(imgui.Col_.frame_bg, (0.13, 0.16, 0.21, 1.0))
     for part, alpha in ((imgui.Col_.header, 0.55), (imgui.Col_.header_hovered, 0.8), (imgui.Col_.header_active, 1.0)):
         style.set_color_(part, (0.22, 0.30, 0.42, alpha))
+    # fields and boxes that are off stand out from the panel, and hints can be read
+    style.frame_border_size = 1.0
+    style.set_color_(imgui.Col_.border, (0.36, 0.42, 0.52, 1.0))
+    style.set_color_(imgui.Col_.text_disabled, (0.64, 0.67, 0.72, 1.0))
     style.item_spacing, style.frame_padding = (8.0, 5.0), (6.0, 3.0)

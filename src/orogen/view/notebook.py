@@ -7,16 +7,18 @@ import functools
 import io
 import logging
 import sys
+import time
 from typing import TYPE_CHECKING, Any, Protocol
 
+from orogen.errors import DeviceLostError
 from orogen.view.opening import Data
 from orogen.view.session import Session
+from orogen.view.window import Window
 
 if TYPE_CHECKING:
     from orogen.camera import Camera
     from orogen.shading.style import Style
     from orogen.view.renderer import Picture, Scene
-    from orogen.view.window import Window
 
 log = logging.getLogger("orogen")
 
@@ -45,16 +47,59 @@ def _canvas_class() -> Any:
     from rendercanvas.anywidget import RenderCanvas
 
     class Canvas(RenderCanvas):
-        """Closes once: on its own, it asks itself to close while it closes."""
+        """Closes once, lets go of keys with the keyboard, and begins anew on every page that comes to show it."""
+
+        def __init__(self, **options: Any) -> None:
+            self._closing = False
+            self._keys: set[str] = set()
+            super().__init__(**options)
+            self.observe(self._seen, names=["_has_visible_views"])
 
         def close(self) -> None:
             closing, self._closing = self._closing, True
-            if not closing:
+            if not closing:  # on its own, it asks itself to close while it closes
                 super().close()
 
-        _closing = False
+        def _rfb_handle_msg(self, widget: Any, content: dict[str, Any], buffers: Any) -> None:
+            kind, key = content.get("type"), content.get("key", "")
+            if kind == "key_down":
+                self._keys.add(key)
+            elif kind == "key_up":
+                self._keys.discard(key)
+            elif kind == "focus_out":
+                self._release()
+            super()._rfb_handle_msg(widget, content, buffers)
+
+        def give_up(self) -> None:
+            """Wait no longer for a picture that is under way from the GPU: it will never come."""
+            self._BaseRenderCanvas__scheduler.on_cancel_draw()
+
+        def _release(self) -> None:
+            """What is released elsewhere is not told."""
+            for key in sorted(self._keys):
+                self.submit_event({"event_type": "key_up", "key": key, "modifiers": (), "time_stamp": time.time()})
+            self._keys.clear()
+
+        def _seen(self, change: dict[str, Any]) -> None:
+            """Be shown, or no longer: scrolled away, taken out, or on a page that was closed or loaded again."""
+            self._release()
+            if change["new"]:
+                # pictures that were under way to another page are never confirmed, and would be waited for
+                now = time.time()
+                self._frame_feedback = {"index": self._rfb_frame_index, "timestamp": now, "localtime": now}
+                self.request_draw()
 
     return Canvas
+
+
+class _Window(Window):
+    """A window that tells beside its picture why there are no more pictures."""
+
+    def _fail(self, error: Exception) -> None:
+        if self.error is None:
+            log.error("the view has ended: %s", error)
+            self.canvas.set_title(f"The view has ended: {error}")
+        super()._fail(error)
 
 
 class NotebookView:
@@ -84,9 +129,22 @@ class NotebookView:
         except ImportError as error:
             log.warning("a picture is shown in place of the view: %s; pip install 'orogen[notebook]' brings it", error)
             return
-        from orogen.view.window import Window
+        self.window = _Window(session, canvas=kind(size=size, title=title, max_fps=60), panel=panel)
+        self.window.canvas.observe(self._seen, names=["_has_visible_views"])
+        self.window.canvas.on_msg(self._told)
 
-        self.window = Window(session, canvas=kind(size=size, title=title, max_fps=60), panel=panel)
+    def _told(self, *message: Any) -> None:
+        """See to it that events are heard where the device was lost with a picture under way."""
+        if self.window:
+            try:
+                self.window.session.renderer.gpu.check()
+            except DeviceLostError:
+                self.window.canvas.give_up()
+
+    def _seen(self, change: dict[str, Any]) -> None:
+        """Hold no pictures while nobody looks: a cell that is run again leaves the view of its last run behind."""
+        if self.window and not change["new"]:
+            self.window.session.rest()
 
     def close(self) -> None:
         """Close the view; the terrain stays open, unless it is the view's own."""

@@ -26,6 +26,11 @@ def nice_length(longest: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest * (1 + 1e-9))
 
 
+def nice_text(metres: float) -> str:
+    """What a nice length is called, without zeros that say nothing."""
+    return f"{metres / 1000:,g} km" if metres >= 1000 else f"{metres:g} m"
+
+
 def metres_per_pixel(frame: Frame, camera: Camera, depth: float) -> float:
     """Metres across that a picture's pixel shows at a view depth in metres."""
     if camera.orthographic:
@@ -85,7 +90,7 @@ def draw_text(painter: Any, imgui: Any, x: float, y: float, text: str, align: fl
     painter.add_text((x, y), WHITE, text)
 
 
-def draw_scale(painter: Any, imgui: Any, x: float, y: float, metres: float, text: str, width: float) -> None:
+def draw_scale(painter: Any, imgui: Any, x: float, y: float, text: str, width: float) -> None:
     """A bar of `width` logical pixels, from x to the right, that stands for a length."""
     painter.add_rect_filled((x - 6, y - 24), (x + max(width, 40) + 6, y + 7), SHADE, 4.0)
     for start, end in (((x, y), (x + width, y)), ((x, y - 5), (x, y + 1)), ((x + width, y - 5), (x + width, y + 1))):

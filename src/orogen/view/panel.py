@@ -16,7 +16,7 @@ from orogen.view.bookmarks import Bookmarks
 from orogen.view.controls import Event
 from orogen.view.gui import Gui
 from orogen.view.keyframes import Keyframes
-from orogen.view.measure import GAP, Place, Profile, distance_text, place_text
+from orogen.view.measure import GAP, Place, Profile, place_text
 from orogen.view.player import Exporter, Player, VideoSettings
 from orogen.view.sections import draw_sections
 from orogen.view.tools import draw_profile
@@ -31,6 +31,8 @@ WIDTH = 330.0
 """Logical pixels of the panel."""
 MARGIN = 12.0
 """Logical pixels between the panel and the window's edge."""
+NARROW = 560.0
+"""Logical pixels of a window's width below which the panel is a button at the start: it would hide the picture."""
 
 
 class ViewPanel:
@@ -45,6 +47,7 @@ class ViewPanel:
         self.widgets = Widgets()
         self.visible = True
         """Whether the fields are shown; P changes that."""
+        self._unfolded = False
         self.measuring = False
         """Whether clicks into the picture measure."""
         self.points: list[tuple[float, float, float]] = []
@@ -74,7 +77,12 @@ class ViewPanel:
     @property
     def width(self) -> float:
         """Logical pixels of the window that it covers on the left."""
-        return MARGIN + WIDTH if self.visible else 0.0
+        return MARGIN + WIDTH if self.visible and not self.folded else 0.0
+
+    @property
+    def folded(self) -> bool:
+        """Whether there is only a button that opens it, in a narrow window."""
+        return self.visible and not self._unfolded and self.window.canvas.get_logical_size()[0] < NARROW
 
     @property
     def settling(self) -> bool:
@@ -122,7 +130,10 @@ class ViewPanel:
 
     def _key(self, key: str) -> bool:
         if key.lower() == "p":
-            self.visible = not self.visible
+            if self.folded:
+                self._unfolded = True
+            else:
+                self.visible = not self.visible
         elif key.lower() == "b":
             self.widgets.attempt("Add bookmark", lambda: self.add_bookmark(""))
         elif key.lower() == "k":
@@ -185,6 +196,14 @@ class ViewPanel:
         self._size, self._ratio = size, pixel_ratio
         self._gui.draw(target, size, pixel_ratio)
 
+    def renew(self, form: str) -> None:
+        """Go on with the session's other device, in place of one that was lost; `form` as at the start."""
+        if self.exporter:
+            self.exporter.cancel()
+            self.exporter, self.message = None, "No video was written: the GPU device was lost."
+        self._place_of, self._scale = None, (None, math.nan)
+        self._gui.renew(self.window.session.device, form)
+
     def close(self) -> None:
         """Give everything back."""
         if self.exporter:
@@ -197,18 +216,31 @@ class ViewPanel:
         imgui, (width, height) = self.imgui, self._size
         self._draw_overlays()
         if self.profile:
-            left = self.width + MARGIN
-            imgui.set_next_window_pos((left, height - 230 - 84), imgui.Cond_.first_use_ever)
-            imgui.set_next_window_size((max(300.0, width - left - MARGIN), 230), imgui.Cond_.first_use_ever)
+            room = min(max(300.0, width - self.width - 2 * MARGIN), width - 2 * MARGIN)
+            place = width - MARGIN - room, max(height - 230 - 84, MARGIN)
+            imgui.set_next_window_pos(place, imgui.Cond_.first_use_ever)
+            imgui.set_next_window_size((room, min(230.0, height - 2 * MARGIN)), imgui.Cond_.first_use_ever)
             draw_profile(self, self._gui.note_window)
         if not self.visible:
             return
         imgui.set_next_window_pos((MARGIN, MARGIN))
-        imgui.set_next_window_size((WIDTH, 0.0))
-        imgui.set_next_window_size_constraints((WIDTH, 0.0), (WIDTH, max(height - 2 * MARGIN, 40.0)))
+        if self.folded:
+            self._draw_button()
+            return
+        wide = min(WIDTH, max(width - 2 * MARGIN, 40.0))
+        imgui.set_next_window_size((wide, 0.0))
+        imgui.set_next_window_size_constraints((wide, 0.0), (wide, max(height - 2 * MARGIN, 40.0)))
         flags = imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_collapse
         if imgui.begin("orogen   (P hides this)###panel", None, flags):
             draw_sections(self)
+        self._gui.note_window()
+        imgui.end()
+
+    def _draw_button(self) -> None:
+        imgui = self.imgui
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_move | imgui.WindowFlags_.always_auto_resize
+        if imgui.begin("###button", None, flags):
+            self.widgets.button("panel (P)", lambda: setattr(self, "_unfolded", True))
         self._gui.note_window()
         imgui.end()
 
@@ -232,7 +264,7 @@ class ViewPanel:
             free = width - imgui.calc_text_size(credit).x - 40 - left
             # in a narrow window there is room above what is written at the right
             at = bottom if max(length / metres, 40.0) < free else bottom - 28 * (1 + len(lines))
-            overlay.draw_scale(painter, imgui, left, at, length, distance_text(length), length / metres)
+            overlay.draw_scale(painter, imgui, left, at, overlay.nice_text(length), length / metres)
         for number, text in enumerate([credit, *reversed(lines)]):
             overlay.draw_text(painter, imgui, width - 14, bottom - 14 - 28 * number, text, 1)
         if session.mode in ("wipe", "difference") and session.second:
@@ -241,6 +273,8 @@ class ViewPanel:
             overlay.draw_text(painter, imgui, at + 14, 16, session.second.label)
         if session.mode == "difference":
             self._draw_legend(painter, width, bottom)
+        if session.preparing:
+            overlay.draw_text(painter, imgui, left, 48 if session.mode == "wipe" else 16, session.preparing)
 
     def _place_lines(self, room: float) -> list[str]:
         """What is known of the ground under the pointer, in lines no longer than so many logical pixels."""

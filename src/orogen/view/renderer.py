@@ -363,12 +363,17 @@ class Renderer:
         x, y, z = self._frame.position(column, row, value)
         return x, y, z
 
-    def close(self) -> None:
-        """Give the GPU memory back and stop loading."""
-        self.draws = ()
+    def release(self) -> None:
+        """Give back what holds the picture; the next one makes it anew. Until then nothing is picked."""
+        self.draws, self._shown, self._frame = (), (), None
         if self._targets:
             for target in self._targets:
                 target.destroy()
+            self._targets = None
+
+    def close(self) -> None:
+        """Give the GPU memory back and stop loading."""
+        self.release()
         if self.algorithm.pages:
             self.algorithm.pages.close()
         if self._owns_clipmap:

@@ -18,6 +18,7 @@ from orogen.view.history import History, Sample
 from orogen.view.measure import Ruler
 from orogen.view.opening import Data as Data
 from orogen.view.opening import Opening
+from orogen.view.overlay import nice_length
 from orogen.view.quality import Quality, QualitySettings, geometry_share, least_detail
 from orogen.view.renderer import Renderer, Scene
 from orogen.view.split import Joiner
@@ -94,7 +95,7 @@ class Session:
         self.difference = False
         """Whether the height of what is compared over the first is shown in its place."""
         low, high = data.height_range
-        self.difference_limit = max(0.02 * (high - low), 0.1)
+        self.difference_limit = nice_length(max(0.02 * (high - low), 0.1))
         """Metres that the strongest colour of the difference stands for."""
         self.opened: Session | None = None
         """A session of other data that was asked for and is ready to take this one's place."""
@@ -314,6 +315,14 @@ class Session:
         """Whether something is being opened."""
         return self._opening is not None
 
+    @property
+    def preparing(self) -> str:
+        """What is worked on before everything is there as finely as it can be, in a few words; else ""."""
+        parts = [p.progress for p in (self.data.heights, self.data.colors) if p and p.progress is not None]
+        if parts:
+            return f"preparing the data for fast access: {100 * min(parts):.0f} %"
+        return "" if any(len(layer.atlas.resident) for layer in self.renderer.clipmap.layers) else "loading ..."
+
     def poll(self) -> None:
         """Take what has been opened in the meantime: into `opened`, or as the second view."""
         if self._opening is None or not self._opening.done:
@@ -357,6 +366,15 @@ class Session:
     def retry_in(self) -> float | None:
         """Seconds until what could not be loaded is tried again; None where nothing has failed."""
         return self.renderer.retry_in
+
+    def rest(self) -> None:
+        """Give back what holds pictures, until the next one is drawn."""
+        for renderer in (self.renderer, self.second.renderer if self.second else None):
+            if renderer:
+                renderer.release()
+        if self._joiner:
+            self._joiner.close()
+            self._joiner = None
 
     def close(self) -> None:
         """Give back what the session made, and the data where it is its own."""

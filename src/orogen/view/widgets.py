@@ -15,6 +15,9 @@ QUIET = (0.66, 0.69, 0.74, 1.0)
 WIDTH = 0.56
 """Part of the panel's width that fields take; their labels have the rest."""
 
+LONGEST = 300
+"""Letters of a message, at most."""
+
 Action = Callable[[Any], None]
 
 
@@ -30,6 +33,7 @@ class Widgets:
         self.problems: dict[str, str] = {}
         """What was wrong with the last input, by field."""
         self._edited: dict[str, str] = {}
+        self._typed = ""  # the slider that is a text field now
 
     def attempt(self, name: str, action: Callable[[], None]) -> bool:
         """Carry out what a field asks for; says whether it worked. A failure is told beside the field."""
@@ -69,17 +73,20 @@ class Widgets:
         format: str = "%.3g",
         logarithmic: bool = False,
         late: bool = False,
-        whole: bool = False,
     ) -> None:
         """A number within limits; `late`: taken when the slider is let go. A double click or Ctrl-click types one."""
         imgui = self.imgui
         self._width()
-        flags = imgui.SliderFlags_.logarithmic if logarithmic else 0
+        if self._wants_text():
+            self._typed, self._edited[name] = name, format % value
+            imgui.set_keyboard_focus_here()
+        if self._typed == name:
+            self._type(name, action)
+            self._after(name, help)
+            return
+        flags = imgui.SliderFlags_.no_input | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
         shown = float(self._edited.get(name, value))
-        if whole:
-            moved, number = imgui.slider_int(name, round(shown), round(limits[0]), round(limits[1]))
-        else:
-            moved, number = imgui.slider_float(name, shown, limits[0], limits[1], format, flags)
+        moved, number = imgui.slider_float(name, shown, limits[0], limits[1], format, flags)
         if moved:
             if late:
                 self._edited[name] = str(number)
@@ -89,6 +96,27 @@ class Widgets:
             self.attempt(name, lambda: action(number))
             self._edited.pop(name, None)
         self._after(name, help)
+
+    def _wants_text(self) -> bool:
+        """Whether the press of a pointer asks that the slider that comes next be typed into."""
+        imgui = self.imgui
+        asked = imgui.is_mouse_double_clicked(0) or (imgui.is_mouse_clicked(0) and imgui.get_io().key_ctrl)
+        at = imgui.get_cursor_screen_pos()
+        end = at.x + imgui.calc_item_width(), at.y + imgui.get_frame_height()
+        return bool(asked and imgui.is_window_hovered() and imgui.is_mouse_hovering_rect((at.x, at.y), end))
+
+    def _type(self, name: str, action: Action) -> None:
+        """The text field in place of a slider; it is one again when the text is taken, refused or left."""
+        imgui = self.imgui
+        flags = imgui.InputTextFlags_.auto_select_all
+        before = self._edited.get(name, "")
+        imgui.push_id("typed")  # else imgui takes it for the slider
+        _, self._edited[name] = imgui.input_text(name, before, flags)
+        imgui.pop_id()
+        if imgui.is_item_deactivated():
+            text, self._typed = self._edited.pop(name), ""
+            if imgui.is_item_deactivated_after_edit():
+                self.attempt(name, lambda: action(number_of(text)))
 
     def switch(self, name: str, value: bool, action: Action, help: str = "") -> None:
         """Something that is on or off."""
@@ -125,7 +153,7 @@ class Widgets:
         """A message on what went wrong."""
         imgui = self.imgui
         imgui.push_style_color(imgui.Col_.text, PROBLEM)
-        imgui.text_wrapped(text)
+        imgui.text_wrapped(shortened(text))
         imgui.pop_style_color()
 
     def section(self, name: str, open: bool = False) -> bool:
@@ -158,6 +186,11 @@ class Widgets:
         low, size = self.imgui.get_item_rect_min(), self.imgui.get_item_rect_size()
         # a field's label is part of it: the middle would fall beside the field
         self.places[name] = (low.x + min(size.x / 4, 40.0), low.y + size.y / 2)
+
+
+def shortened(text: str) -> str:
+    """A message of at most `LONGEST` letters: its beginning and its end, where what was typed was long."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
 
 
 def two_numbers(text: str, example: str = "301500, 2654000") -> tuple[float, float]:

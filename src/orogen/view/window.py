@@ -28,6 +28,8 @@ EVENTS = (
 )  # fmt: skip
 SHORTEST_REST = 0.1
 """Seconds, at least, between frames that only look whether what had failed is there."""
+PROGRESS = 1.0
+"""Seconds between frames that only show how far something is."""
 FIRST_STEP = 1 / 60
 """Seconds of the step that follows a rest."""
 CLICK = 4.0
@@ -60,6 +62,9 @@ class Panel(Protocol):
 
     def draw(self, target: wgpu.GPUTextureView, size: tuple[float, float], pixel_ratio: float) -> None:
         """Draw over a texture; `size`: width and height in logical pixels."""
+
+    def renew(self, form: str) -> None:
+        """Draw with the session's other device, to textures of a format."""
 
     def close(self) -> None:
         """Give everything back."""
@@ -116,7 +121,9 @@ class Window:
         """Draw with the session's device."""
         form = self._context.get_preferred_format(self.session.device.adapter)
         self._context.configure(device=self.session.device, format=form)
-        if self._with_panel:
+        if self.panel:
+            self.panel.renew(form)
+        elif self._with_panel:
             from orogen.view.gui import available
 
             if available():
@@ -286,15 +293,21 @@ class Window:
         try:
             if self._draw():
                 self.canvas.request_draw()
-            elif self._loop and not self._waking and self.session.retry_in is not None:
+            elif self._loop and not self._waking and (rest := self._rest()) is not None:
                 self._waking = True
-                self._loop.call_later(max(self.session.retry_in, SHORTEST_REST), self._wake)
+                self._loop.call_later(rest, self._wake)
         except Exception as error:
             if not self._revived():
                 self._fail(error)
 
+    def _rest(self) -> float | None:
+        """Seconds until a picture that is not asked for would show something else; None: never."""
+        if self.session.retry_in is not None:
+            return max(self.session.retry_in, SHORTEST_REST)
+        return PROGRESS if self.panel and self.session.preparing else None
+
     def _wake(self) -> None:
-        """Draw once more: what had failed may be there now."""
+        """Draw once more: what had failed may be there now, or work has gone on."""
         self._waking = False
         if not self._closed:
             self.canvas.request_draw()
@@ -304,9 +317,6 @@ class Window:
         try:
             if not self.session.revive():
                 return False
-            if self.panel:
-                self.panel.close()
-                self.panel = None
             self._context.unconfigure()
             self._use_device()
         except Exception as error:

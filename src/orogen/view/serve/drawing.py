@@ -7,19 +7,16 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import PurePath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.camera import Camera
-from orogen.errors import BudgetError, DeviceLostError, OrogenError
-from orogen.grid import Grid
-from orogen.pyramid.contract import Pyramid
+from orogen.errors import BudgetError, OrogenError
 from orogen.shading.style import Style
-from orogen.view.opening import Data
+from orogen.view.opening import Data, Shared
 from orogen.view.quality import Quality
-from orogen.view.renderer import Renderer, Scene
+from orogen.view.renderer import Scene
 from orogen.view.serve.canvas import RemoteCanvas
 from orogen.view.serve.client import Client
 from orogen.view.session import Session
@@ -36,74 +33,14 @@ LEVELS, SHARE, STRIDE = 12, 0.01, 3
 rows and columns every third is looked at."""
 
 
-class Shared:
-    """A data set for one page: everything is the terrain's, but for a view of its own. As `Session` takes it."""
-
-    def __init__(self, data: Data) -> None:
-        self._data = data
-        self._base: Renderer | None = None
-        self._own: Renderer | None = None
+class Page(Shared):
+    """A data set for one page."""
 
     @property
     def name(self) -> str:
         """What the page shows as the name: without the folders of this machine."""
-        return PurePath(self._data.name.replace("\\", "/")).name or self._data.name
-
-    @property
-    def attribution(self) -> str:
-        """Who is to be named beside the picture; may be ""."""
-        return self._data.attribution
-
-    @property
-    def grid(self) -> Grid:
-        """Georeference of the heights."""
-        return self._data.grid
-
-    @property
-    def heights(self) -> Pyramid:
-        """The pyramid of heights."""
-        return self._data.heights
-
-    @property
-    def colors(self) -> Pyramid | None:
-        """The pyramid of the draped image, or None."""
-        return self._data.colors
-
-    @property
-    def height_range(self) -> tuple[float, float]:
-        """Lowest and highest height (m)."""
-        return self._data.height_range
-
-    @property
-    def renderer(self) -> Renderer:
-        """A view beside the terrain's own; another one after the device was lost."""
-        try:
-            return self._beside(self._data.renderer)
-        except DeviceLostError:
-            self._data.revive()
-            return self._beside(self._data.renderer)
-
-    def _beside(self, base: Renderer) -> Renderer:
-        if self._own is None or base is not self._base:
-            chosen = base.algorithm
-            values = {name: getattr(chosen.settings, name) for name in chosen.settings.__dataclass_fields__}
-            self._base, self._own = base, base.beside(chosen.name, values)
-        return self._own
-
-    def height_at(self, x: Any, y: Any) -> Any:
-        """Height (m) at x, y in the data's CRS, numbers or arrays; NaN where there is none."""
-        return self._data.height_at(x, y)
-
-    def revive(self) -> bool:
-        """Let go of a device that was lost; whether it was."""
-        return self._data.revive()
-
-    def close(self) -> None:
-        """Give the view back; the terrain stays."""
-        own, self._own = self._own, None
-        # what belonged to a device that was lost went with it
-        if own and self._data.renderer is self._base:
-            own.close()
+        name = super().name
+        return PurePath(name.replace("\\", "/")).name or name
 
 
 @dataclass(frozen=True)
@@ -149,7 +86,7 @@ class View:
         self._size = client.size
         self.canvas.resize(self._size.width, self._size.height, self._size.ratio)
         session = Session(
-            Shared(data), look.style, look.scene, camera=look.camera, owned=True, files=False
+            Page(data), look.style, look.scene, camera=look.camera, owned=True, files=False
         )  # fmt: skip
         try:
             self.window = Window(session, canvas=self.canvas, panel=look.panel)
