@@ -38,7 +38,7 @@ struct Point { cell: vec2<i32>, frac: vec2<f32> }
 
 struct Ray { origin: vec3<f32>, direction: vec3<f32> }
 
-@group(0) @binding(0) var<uniform> frame: FrameBlock;
+@group(0) @binding(0) var<uniform> #{FRAME_BLOCK}: FrameBlock;
 
 fn to_metres(offset: vec2<f32>) -> vec2<f32> {
     return vec2<f32>(dot(frame.metres.xy, offset), dot(frame.metres.zw, offset));

@@ -23,7 +23,7 @@ from orogen.lod import make_settings
 from orogen.lod.cdlod import Settings
 from orogen.lod.cdlod.ground import Ground
 from orogen.lod.cdlod.seams import thin
-from orogen.lod.quadtree import PatchTree
+from orogen.lod.quadtree import Leaves, PatchTree
 
 SHAPES = [(60, 90), (16, 2100), (2, 3), (60, 2)]
 """Rows and columns: levels of all kinds; more than 1024 samples, so that the ground is approximate; tiny."""
@@ -284,12 +284,9 @@ def assert_watertight(scene: Scene, settings: dict[str, Any], exaggeration: floa
 @pytest.mark.parametrize("near", [True, False])
 def test_grids_side_by_side_differ_by_one_level_at_most(near: bool) -> None:
     """A whole leaf keeps the coarser one beside it whole, and that the next one; thinned leaves do not."""
-    square = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
-    one = np.ones(1, np.int64), np.zeros(1, np.int64)
-    far = np.zeros(1, bool)
-    thinned = thin([square, one, one], [np.full(4, near), far, far])
-    assert thinned[0].tolist() == [not near] * 4
-    assert [part.tolist() for part in thinned[1:]] == [[not near], [not near]]
+    level, x, y = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 1, 0], [2, 1, 0]]).T
+    thinned, _ = thin(Leaves(level, x, y), np.array([near] * 4 + [False] * 2))
+    assert thinned.tolist() == [not near] * 6
 
 
 def test_no_gaps_on_sheared_ground(gpu: Gpu) -> None:

@@ -121,7 +121,7 @@ def test_meshes_hold_their_bounds_against_the_true_surface(scene: Scene) -> None
             tx, ty = points[:, 0] + 0.5, points[:, 1] + 0.5
             there = surface.exists(tx, ty)
             off = np.abs(points[:, 2] - surface.height(tx, ty))[there]
-            bound = float(maker.bound(key.level, np.array([key.x]), np.array([key.y]))[0])
+            bound = float(maker.errors.at(*(np.array([part]) for part in key))[0, 0])
             assert off.size == 0 or off.max() <= bound * (1 + 1e-6) + 1e-4, key
             closest.append(off.max(initial=0) / max(bound, 1e-9))
         # not by far: some get near to what they are allowed, or half of that where the raster's edge cuts all of them
@@ -161,7 +161,7 @@ def test_bounds_never_grow_towards_finer_levels(scene: Scene) -> None:
     for level in range(1, maker.tree.level_count):
         rows, cols = maker.tree.shape(level - 1)
         y, x = (index.ravel() for index in np.mgrid[:rows, :cols])
-        assert (maker.bound(level - 1, x, y) <= maker.bound(level, x >> 1, y >> 1)).all()
+        assert (maker.errors.at(level - 1, x, y) <= maker.errors.at(level, x >> 1, y >> 1)).all()
 
 
 def interpolated(corners: Floats, points: Floats) -> Floats:

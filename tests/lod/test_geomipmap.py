@@ -23,6 +23,7 @@ from orogen.lod import geomipmap, make_settings
 from orogen.lod.geomipmap.errors import drawn_samples, extended, measured
 from orogen.lod.geomipmap.levels import Levels
 from orogen.lod.geomipmap.patterns import LIST_BIT, LISTS, NO_COLUMNS_BIT, index_lists
+from orogen.lod.quadtree import PatchTree
 
 SETTINGS: list[dict[str, Any]] = [
     {"block_size": 8, "quads_per_sample": 2},
@@ -194,7 +195,7 @@ def some_levels(morph: bool) -> tuple[Levels, Any, NDArray[np.float64], NDArray[
     heights = uneven(130, 180)
     with_grid = type("G", (), {"width": 180, "height": 130, "metres": np.diag([SPACING, -SPACING])})()
     errors = measured(heights, 8, 1)
-    levels = Levels(with_grid, 8, errors)
+    levels = Levels(PatchTree(with_grid, 8), errors)
     y, x = np.indices(errors.low.shape)
     allowed = 0.02 + 0.15 * np.hypot(x - 5.0, y - 7.0)
     return levels, errors, allowed, levels.at(allowed, morph=morph)
@@ -251,7 +252,7 @@ def test_distances_are_to_the_nearest_point_of_boxes(gpu: Gpu, exact: tuple[Scen
     scene, heights = exact
     frame = scene.frame(scene.camera(40, 30, 300), exaggeration=2.0)
     errors = measured(heights, 8, 0)
-    distance = Levels(scene.pyramid.grid, 8, errors).distance(frame)
+    distance = Levels(PatchTree(scene.pyramid.grid, 8), errors).distance(frame)
     eye = np.array([39.5 * SPACING, 29.5 * SPACING, 300.0])
     random = np.random.default_rng(2)
     for _ in range(60):
@@ -275,7 +276,7 @@ def test_drawn_triangles_keep_to_the_error(exact: tuple[Scene, NDArray[np.float3
     for camera in some_cameras(scene, 2, seed=4):
         frame = as_unculled(scene.frame(camera, (160, 100)))
         errors = measured(heights, chosen.block_size, chosen.quads_per_sample.bit_length() - 1)
-        distance = Levels(scene.pyramid.grid, chosen.block_size, errors).distance(frame)
+        distance = Levels(PatchTree(scene.pyramid.grid, chosen.block_size), errors).distance(frame)
         pixels = 100 / (2 * np.tan(np.radians(45.0) / 2))
         for draw in read_triangles(scene, frame, state):
             corners = draw["position"].astype(np.float64)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lod.scene import SPACING, Scene, noise
 from orogen.frame import Frame
 from orogen.gpu import Gpu
-from orogen.lod.quadtree import Leaves, PatchFrame, PatchTree, neighbour_steps
+from orogen.lod import quadtree
+from orogen.lod.quadtree import Leaves, PatchFrame, PatchTree, neighbours
 from orogen.streaming.clipmap import ClipmapView
 
 SIDE = 8
@@ -46,6 +47,15 @@ def patches(scene: Scene, request: pytest.FixtureRequest) -> tuple[PatchFrame, F
     return PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view), frame, scene.view
 
 
+@pytest.fixture(params=["compiled", "numpy"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways of choosing."""
+    if request.param == "numpy":
+        monkeypatch.setattr(quadtree, "kernels", lambda: None)
+    else:
+        pytest.importorskip("numba")
+
+
 def near(patches: PatchFrame, factor: float) -> Any:
     """Split where a patch is nearer than so many of its sides."""
     return lambda level, x, y: patches.distance(level, x, y) < factor * SPACING * (SIDE << level)
@@ -54,13 +64,12 @@ def near(patches: PatchFrame, factor: float) -> Any:
 def level_map(tree: PatchTree, leaves: Leaves) -> NDArray[np.int64]:
     """Level of the leaf over every quad of samples, -1 where none is; fails where two overlap."""
     quads = np.full((ROWS - 1, COLUMNS - 1), -1)
-    for level, (xs, ys) in enumerate(leaves):
-        for x, y in zip(xs.tolist(), ys.tolist(), strict=True):
-            side = SIDE << level
-            part = quads[y * side : (y + 1) * side, x * side : (x + 1) * side]
-            assert part.size
-            assert (part == -1).all()
-            part[:] = level
+    for level, x, y in zip(*(part.tolist() for part in leaves), strict=True):
+        side = SIDE << level
+        part = quads[y * side : (y + 1) * side, x * side : (x + 1) * side]
+        assert part.size
+        assert (part == -1).all()
+        part[:] = level
     return quads
 
 
@@ -116,25 +125,27 @@ def test_restricted_leaves_differ_by_one_level(patches: Any) -> None:
         assert steps[both].max(initial=0) <= 1
 
 
-def test_neighbours_are_told_how_much_coarser_the_other_side_is(patches: Any) -> None:
+def test_neighbours_are_those_beyond_the_edges(patches: Any, way: None) -> None:
     chosen, _, _ = patches
     leaves = chosen.select(near(chosen, 2.0))
     levels = level_map(chosen.tree, leaves)
-    checked = 0
-    for level, ((xs, ys), steps) in enumerate(zip(leaves, neighbour_steps(leaves), strict=True)):
+    listed = list(zip(*(part.tolist() for part in leaves), strict=True))
+    beyond = {most: neighbours(leaves, most).tolist() for most in (1, chosen.tree.level_count)}
+    coarser = 0
+    for (level, x, y), *found in zip(listed, *beyond.values(), strict=True):
         side = SIDE << level
-        for x, y, step in zip(xs.tolist(), ys.tolist(), steps.tolist(), strict=True):
-            row, column = y * side, x * side
-            beyond = [(row, column - 1), (row, column + side), (row - 1, column), (row + side, column)]
-            for (r, c), s in zip(beyond, step, strict=True):
-                inside = 0 <= r < ROWS - 1 and 0 <= c < COLUMNS - 1
-                other = levels[r, c] if inside else -1
-                assert s == max(0, other - level)
-                checked += s > 0
-    assert checked or len(np.unique(levels[levels >= 0])) == 1
+        row, column = y * side, x * side
+        places = [(row, column - 1), (row, column + side), (row - 1, column), (row + side, column)]
+        for (r, c), one, other in zip(places, *found, strict=True):
+            there = levels[r, c] if 0 <= r < ROWS - 1 and 0 <= c < COLUMNS - 1 else -1
+            expected = (there, c // (SIDE << there), r // (SIDE << there)) if there >= level else None
+            assert (listed[other] if other >= 0 else None) == expected
+            assert one == (other if there <= level + 1 else -1)
+            coarser += there > level
+    assert coarser or len(np.unique(levels[levels >= 0])) == 1
 
 
-def test_distances_are_to_the_nearest_point_of_the_box(patches: Any) -> None:
+def test_distances_are_to_the_nearest_point_of_the_box(patches: Any, way: None) -> None:
     chosen, frame, _ = patches
     lod = frame.lod_eye()
     for level in (0, 2):
@@ -211,4 +222,4 @@ def test_a_view_of_the_sky_has_few_patches(scene: Scene) -> None:
     frame = scene.frame(scene.camera(90, 80, 500.0, pitch=80.0))
     chosen = PatchFrame(PatchTree(scene.pyramid.grid, SIDE), frame, scene.view)
     # boxes around the camera cross every plane without being seen
-    assert sum(x.size for x, _ in chosen.select(near(chosen, 3.0))) < 10
+    assert chosen.select(near(chosen, 3.0)).x.size < 10

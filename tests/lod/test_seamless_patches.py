@@ -169,8 +169,8 @@ def test_patches_and_their_sides_are_those_of_the_equation(scene: Scene, setting
         plain = PlainEdges(scene, frame, algorithm.settings)
         expected = plain.leaves()
         edges = algorithm.edges(frame, scene.view)
-        leaves = edges.leaves()
-        found = [(level, x, y) for level, xy in enumerate(leaves) for x, y in np.stack(xy, axis=1).tolist()]
+        leaves = edges.leaves(restricted=True)
+        found = list(zip(*(part.tolist() for part in leaves), strict=True))
         assert len(found) == len(set(found))
         assert set(found) == expected
         segments = edges.resolutions(leaves).tolist()

@@ -19,10 +19,11 @@ from orogen.grid import EARTH_RADIUS, Grid
 from orogen.streaming import blocks
 from orogen.streaming.clipmap import SEARCH
 from orogen.streaming.heightformat import FLOATS
+from orogen.streaming.software import SHARED
 
 CONSTANTS = {
     "NODE_BITS": 8, "HEIGHT_BORDER": 2, "COLOR_BORDER": 8, "MAX_ANISOTROPY": 8, "COVERED": False,
-    "ANY_HIT": False, **FLOATS.constants,
+    "ANY_HIT": False, "SOFTWARE": False, "TABLE_WIDTH": 256, **SHARED, **FLOATS.constants,
 }  # fmt: skip
 UTM = Grid(5000, 4000, (2.0, 0.3, 1e7, 0.4, -3.0, 9.3e6))
 
@@ -98,7 +99,7 @@ class FrameProbe:
         }}"""
         folder = Path(orogen.frame.__file__).parent
         pipeline = gpu.compute(
-            "probe", gpu.shader("probe", Text("probe", code), search=[folder]), "probe", [self.layout]
+            "probe", gpu.shader("probe", Text("probe", code), search=[folder], constants=SHARED), "probe", [self.layout]
         )
         target = gpu.buffer("answers", values.nbytes, "STORAGE|COPY_SRC", "test")
         group = {

@@ -17,6 +17,7 @@ struct SurfaceTexel {
 
 @vertex
 fn corner(@builtin(vertex_index) vertex: u32, @builtin(instance_index) instance: u32) -> Corner {
+    take_blocks();
     let v = lod_vertex(vertex, instance);
     let position = lift(flat_position(v.point), v.height);
     let offset = vec2<f32>(v.point.cell - frame.anchor) + v.point.frac;
@@ -43,6 +44,7 @@ fn outside(offset: vec2<f32>) -> bool {
 
 @fragment
 fn surface(in: Corner) -> SurfaceTexel {
+    take_blocks();
     let edge = edge_distance(in.lines);
     // also where nothing overhangs: at the outline rounding to subpixels lets pixels in
     if (outside(in.offset)) { discard; }

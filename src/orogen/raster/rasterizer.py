@@ -12,6 +12,7 @@ from orogen.lod.contract import Draw, Module, Patches, Rays
 from orogen.raster.compute import ComputeRasterizer, can_rasterize
 from orogen.raster.surface import FORMATS, READ_LAYOUT, WRITE_LAYOUT, Surface
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.software import block_copies
 from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent
@@ -118,7 +119,7 @@ class Rasterizer:
         run.dispatch_workgroups(-(-width // _TILE), -(-height // _TILE))
         run.end()
 
-    def _shader(self, module: Module, main: Path, *parts: Path, **constants: bool) -> Any:
+    def _shader(self, module: Module, main: Path, *parts: Path | str, **constants: bool | str) -> Any:
         return self._clipmap.gpu.shader(
             f"{module.path.parent.name} {main.stem}",
             module.path,
@@ -131,9 +132,12 @@ class Rasterizer:
     def _patch_pipeline(self, draw: Patches) -> Any:
         key = (draw.module.path, tuple(draw.module.constants.items()), draw.topology)
         if key not in self._pipelines:
+            copies, names = block_copies(self._clipmap.gpu)
             self._pipelines[key] = self._clipmap.gpu.render(
                 f"{draw.module.path.parent.name} patches",
-                self._shader(draw.module, FOLDER / "patch.wgsl", RASTER_COVERED=self._clipmap.heights.covered),
+                self._shader(
+                    draw.module, FOLDER / "patch.wgsl", copies, RASTER_COVERED=self._clipmap.heights.covered, **names
+                ),
                 "corner",
                 "surface",
                 [{"format": form} for form in FORMATS.values()],
@@ -147,9 +151,12 @@ class Rasterizer:
         key = (draw.module.path, tuple(draw.module.constants.items()), first, draw.replace)
         if key not in self._pipelines:
             chosen = FOLDER / ("replace.wgsl" if draw.replace else "everywhere.wgsl")
+            copies, names = block_copies(self._clipmap.gpu)
             self._pipelines[key] = self._clipmap.gpu.compute(
                 f"{draw.module.path.parent.name} rays",
-                self._shader(draw.module, FOLDER / "rays.wgsl", chosen, FIRST=first, REPLACE=draw.replace),
+                self._shader(
+                    draw.module, FOLDER / "rays.wgsl", chosen, copies, FIRST=first, REPLACE=draw.replace, **names
+                ),
                 "cast_rays",
                 [self._clipmap.layout, draw.module.layout or self._empty_layout, self._write_layout],
             )

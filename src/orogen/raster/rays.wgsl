@@ -13,6 +13,7 @@ const REPLACE = #{REPLACE};
 
 @compute @workgroup_size(8, 8)
 fn cast_rays(@builtin(global_invocation_id) id: vec3<u32>) {
+    take_blocks();
     if (any(id.xy >= frame.size)) { return; }
     if (!should_cast(id.xy)) { return; }
     let orthographic = frame.forward.w > 0.5;

@@ -7,6 +7,7 @@ const FIRST = #{FIRST};         // of the picture's samples: what the sums held 
 
 @compute @workgroup_size(8, 8)
 fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
+    take_blocks();
     if (any(id.xy >= frame.size)) { return; }
     var light = sample_at(id.xy);
     let at = id.y * frame.size.x + id.x;

@@ -8,6 +8,7 @@ struct ResolveBlock {
     flags: u32,
 }
 
+const TONES = #{TONES};         // they may: what never does is left out
 const TONED = 1u;               // exposure and tone curve apply
 const ENCODED = 2u;             // the target stores what it is given: encode for sRGB here
 
@@ -31,7 +32,7 @@ fn developed(light: vec4<f32>, resolve: ResolveBlock) -> vec4<f32> {
     let sum = light * resolve.share;
     var color = sum.rgb / max(sum.a, 1e-6);
     // chosen, not branched: Mesa's software driver keeps a third of a megabyte at every draw with such branches
-    color = select(color, tone(color * resolve.exposure), (resolve.flags & TONED) != 0u);
+    if (TONES) { color = select(color, tone(color * resolve.exposure), (resolve.flags & TONED) != 0u); }
     let alpha = mix(sum.a, 1.0, resolve.background.a);
     color = mix(color, resolve.background.rgb, (1.0 - sum.a) * resolve.background.a);
     color = select(color, srgb_encode(color), (resolve.flags & ENCODED) != 0u);

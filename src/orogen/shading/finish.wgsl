@@ -10,6 +10,7 @@ const FIRST = #{FIRST};         // and only sample
 
 @compute @workgroup_size(8, 8)
 fn finish(@builtin(global_invocation_id) id: vec3<u32>) {
+    take_blocks();
     if (any(id.xy >= frame.size)) { return; }
     var light = sample_at(id.xy);
     if (!FIRST) { light += accumulated[id.y * frame.size.x + id.x]; }

@@ -17,6 +17,7 @@ from orogen.shading.color import parse_hex
 from orogen.shading.light import light_of
 from orogen.shading.ramp import RAMP_SIZE, ramp_range, ramp_table
 from orogen.shading.style import Style
+from orogen.streaming.software import block_copies
 
 if TYPE_CHECKING:
     from orogen.gpu import Buffer, FrameTimer, Gpu, Texture
@@ -156,7 +157,7 @@ class Shading:
             gpu.layout("resolve", {0: ("FRAGMENT", "uniform"), 1: ("FRAGMENT", "read")}),
         )
         self._shade_pipelines: dict[tuple[int, bool, bool], Any] = {}
-        self._resolve_shader = gpu.shader("resolve", _HERE / "resolve.wgsl")
+        self._resolve_shader = gpu.shader("resolve", _HERE / "resolve.wgsl", constants={"TONES": True})
         self._resolve_pipelines: dict[str, Any] = {}
 
     def samples(self, size: tuple[int, int]) -> Samples:
@@ -213,9 +214,12 @@ class Shading:
     def _shade_pipeline(self, flags: int, first: bool, last: bool) -> Any:
         key = flags, first, last
         if key not in self._shade_pipelines:
-            constants = {**self._constants, "FLAGS": flags, "FIRST": first, "ANY_HIT": True}
+            copies, names = block_copies(self._gpu)
+            tones = bool(flags & _LIT)
+            constants = {**self._constants, **names, "FLAGS": flags, "FIRST": first, "ANY_HIT": True, "TONES": tones}
             name = "finish" if last else "accumulate"
-            shader = self._gpu.shader(name, _HERE / f"{name}.wgsl", search=self._search, constants=constants)
+            sources = _HERE / f"{name}.wgsl", copies
+            shader = self._gpu.shader(name, *sources, search=self._search, constants=constants)
             own = self._layouts.finish if last else self._layouts.add
             layouts = [self._scene_layout, own, self._surface_layout]
             self._shade_pipelines[key] = self._gpu.compute(name, shader, name, layouts)

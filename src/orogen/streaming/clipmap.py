@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from orogen.streaming.layer import Layer
 from orogen.streaming.requests import LayerGrid, wanted
 from orogen.streaming.retry import Failures
 from orogen.streaming.settings import COLOR_BORDER, HEIGHT_BORDER, MAX_ANISOTROPY, ClipmapSettings
+from orogen.streaming.software import SHARED, TABLE_WIDTH, SampledTables, is_software
 from orogen.streaming.tiles import BLOCK
 
 SEARCH = (Path(orogen.__file__).parent, Path(__file__).parent)
@@ -38,6 +39,29 @@ _PATIENCE = 4
 """Frames of a moving camera for which the same nodes will do."""
 _FRAME_ROOM = -(-blocks.FRAME.itemsize // 256) * 256
 """Bytes of the frame's block in its buffer, of which the clipmap's follows, where WebGPU lets one begin."""
+
+
+class DrawnTables(NamedTuple):
+    """What `ClipmapView.drawn_bounds` looks heights up in, for a compiled twin of it."""
+
+    entries: NDArray[np.uint32]
+    """(side, side) of level 0: slot | level << 16 of the node that is used, by wrapped row and column."""
+    nodes: NDArray[np.float32]
+    """(levels, side, side, 2) lowest and highest height (m) that may be drawn in nodes."""
+    origins: NDArray[np.int64]
+    """(levels, 2) column and row of each level's first node."""
+    blocks: tuple[NDArray[np.float32], ...]
+    """Per slot: ranges of blocks of 16 texels along a side, then of blocks twice as wide, and so on."""
+    bits: int
+    """A node is 2^bits texels wide."""
+    eye: tuple[float, float]
+    """Column and row of the sample that levels of data are chosen around."""
+    spacing: tuple[float, float]
+    """Metres from sample to sample in rows and in columns."""
+    above: float
+    """Metres of the LOD eye above or below the approximate ground."""
+    reach: float
+    """Metres around it in which level 0 is used."""
 
 
 class Clipmap:
@@ -78,7 +102,8 @@ class Clipmap:
         self.constants = {
             "NODE_BITS": s.node_bits, "HEIGHT_BORDER": HEIGHT_BORDER, "COLOR_BORDER": COLOR_BORDER,
             "MAX_ANISOTROPY": MAX_ANISOTROPY, "COVERED": self.heights.covered, "ANY_HIT": False, "WITH_LEVELS": True,
-            "CEILING_BLOCK": CEILING_BLOCK, **self.heights.format.constants,
+            "CEILING_BLOCK": CEILING_BLOCK, "SOFTWARE": is_software(gpu), "TABLE_WIDTH": TABLE_WIDTH,
+            **SHARED, **self.heights.format.constants,
         }  # fmt: skip
         """Constants of clipmap.wgsl."""
         self._views: list[ClipmapView] = []
@@ -98,6 +123,7 @@ class Clipmap:
                 9: (_STAGES, "sampler filtering"),
                 10: (_STAGES, "sampler non-filtering"),
                 11: (_STAGES, array.format("unfilterable")),
+                12: (_STAGES, array.format("unfilterable")),
             },
         )
         """Layout of bind group 0, which every shader that includes frame.wgsl or clipmap.wgsl uses."""
@@ -261,6 +287,7 @@ class ClipmapView:
         self._bits: list[int] = []
         self._starts: list[int] = []
         self._table: Buffer | None = None
+        self._sampled: SampledTables | None = None
         self._bounds: Buffer | None = None
         self._entries = np.zeros((0, 1, 1), np.uint32)
         self._drawn_bounds = np.zeros((0, 1, 1, 2), np.float32)
@@ -390,15 +417,28 @@ class ClipmapView:
 
     def _coarsest(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.int64]:
         """The coarsest level, at most, whose texels are used in rectangles of samples (equation 4.9)."""
+        eye, spacing, above, reach = self._reach()
+        away = np.maximum(np.abs(low - np.array(eye)), np.abs(high - np.array(eye))) @ np.array(spacing)
+        level = np.floor(np.log2(np.maximum(2 * np.hypot(away, above) / reach, 1))).astype(np.int64)
+        return np.minimum(level + 1, self.clipmap.heights.grid.level_count - 1) * (reach < 1e30)
+
+    def _reach(self) -> tuple[tuple[float, float], tuple[float, float], float, float]:
+        """The last four of `DrawnTables`."""
         frame, settings = self._frame, self.clipmap.settings
         assert frame is not None, "update the view first"
         grid = self.clipmap.heights.grid
-        eye = np.array(_lod_texel(frame, grid.grid)) - 0.5
-        away = np.maximum(np.abs(low - eye), np.abs(high - eye)) @ np.linalg.norm(grid.grid.metres, axis=0)
+        column, row = _lod_texel(frame, grid.grid)
+        across, down = np.linalg.norm(grid.grid.metres, axis=0).tolist()
         above = abs(float(frame.lod_eye()[2]) + frame.camera.z - frame.ground_height * frame.exaggeration)
         reach = settings.view_distance_for(frame.texel_size, frame.lod_fov) * grid.node_size * grid.grid.spacing
-        level = np.floor(np.log2(np.maximum(2 * np.hypot(away, above) / reach, 1))).astype(np.int64)
-        return np.minimum(level + 1, grid.level_count - 1) * (reach < 1e30)
+        return (column - 0.5, row - 0.5), (across, down), above, reach
+
+    def drawn_tables(self) -> DrawnTables:
+        """What `drawn_bounds` looks up, after `update`."""
+        layer, bits = self.clipmap.heights, self.clipmap.settings.node_bits
+        origins = np.array(self._height_origins, np.int64)[:, ::-1].copy()
+        tables = self._entries[0], self._drawn_bounds, origins, tuple(layer.blocks), bits
+        return DrawnTables(*tables, *self._reach())
 
     def _node_ranges(self, low: NDArray[np.integer], high: NDArray[np.integer]) -> NDArray[np.float32]:
         layer = self.clipmap.heights.grid
@@ -424,7 +464,7 @@ class ClipmapView:
 
     def close(self) -> None:
         """Use `Clipmap.drop`."""
-        for buffer in (self._uniforms, self._table, self._bounds):
+        for buffer in (self._uniforms, self._table, self._bounds, self._sampled):
             if buffer is not None:
                 buffer.destroy()
 
@@ -449,6 +489,7 @@ class ClipmapView:
             self._starts.append(self._starts[-1] + (layer.grid.level_count << 2 * b))
         self._table = gpu.buffer("quadtree", 4 * self._starts[-1], "STORAGE|COPY_DST", "clipmap")
         self._bounds = gpu.buffer("quadtree bounds", 8 * self._starts[1], "STORAGE|COPY_DST", "clipmap")
+        self._sampled = SampledTables(gpu, self._starts[-1]) if is_software(gpu) else None
         self._written_tables = self._written_block = None
         self.bind_group = gpu.bind(
             "clipmap",
@@ -466,6 +507,7 @@ class ClipmapView:
                 9: clipmap.sampler,
                 10: clipmap.texel_sampler,
                 11: clipmap.attachment("ceilings"),
+                12: self._sampled.view if self._sampled else clipmap.attachment("sampled tables"),
             },
         )
         self._bits = bits
@@ -477,9 +519,15 @@ class ClipmapView:
         for i, layer in enumerate(clipmap.layers):
             table, bounds = build_tables(layer, self._bits[i], origins[i])
             clipmap.gpu.write(self._table, table, 4 * self._starts[i])
+            if self._sampled:
+                # slots of colours have no range
+                ranges = layer.slots[np.minimum(table & 0xFFFF, len(layer.slots) - 1)][..., :2]
+                self._sampled.fill(self._starts[i], table, ranges)
             if layer.is_height:
                 clipmap.gpu.write(self._bounds, bounds)
                 self._entries, self._drawn_bounds, self._height_origins = table, bounds, origins[i]
+        if self._sampled:
+            self._sampled.write()
 
     def _block(self, frame: Frame) -> bytes:
         """The clipmap's uniform block."""

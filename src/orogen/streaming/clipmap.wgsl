@@ -15,6 +15,8 @@ const COLOR_SIZE = f32(1u << NODE_BITS) + 2.0 * COLOR_BORDER;
 const HEIGHTS = 0u;                 // index of a layer in `clipmap.layers`
 const COLORS = 1u;
 const NO_SLOT = 0xffffu;
+const SOFTWARE = #{SOFTWARE};          // a software driver runs the shader (software.py)
+const TABLE_WIDTH = #{TABLE_WIDTH}u;
 
 struct Layer {
     level_count: u32,
@@ -41,8 +43,8 @@ struct ClipmapBlock {
 
 struct SlotBounds { low: f32, high: f32, error: f32, level: f32 }
 
-@group(0) @binding(1) var<uniform> clipmap: ClipmapBlock;
-@group(0) @binding(2) var<storage, read> node_table: array<u32>;          // slot | level << 16
+@group(0) @binding(1) var<uniform> #{CLIPMAP_BLOCK}: ClipmapBlock;
+@group(0) @binding(2) var<storage, read> node_table: array<u32>;          // slot | level << 16 (table_entry)
 @group(0) @binding(3) var<storage, read> node_bounds: array<vec2<f32>>;   // lowest and highest drawn height, per table entry
 @group(0) @binding(4) var<storage, read> slot_bounds: array<SlotBounds>;
 @group(0) @binding(5) var height_atlas: texture_2d_array<HeightTexel>;
@@ -52,6 +54,7 @@ struct SlotBounds { low: f32, high: f32, error: f32, level: f32 }
 @group(0) @binding(9) var color_sampler: sampler;
 @group(0) @binding(10) var texel_sampler: sampler;   // nearest: for gathers
 @group(0) @binding(11) var ceilings_atlas: texture_2d_array<f32>;
+@group(0) @binding(12) var sampled_tables: texture_2d_array<f32>;         // node_table, and low and high of its slots
 
 struct Node {
     slot: u32,
@@ -83,17 +86,41 @@ fn windowed_level(layer: u32, cell: vec2<i32>, level: u32) -> u32 {
     loop {
         if (l >= last) { break; }
         let node = cell >> vec2<u32>(clipmap.layers[layer].subtexel_bits + NODE_BITS + l);
-        let inside = node - clipmap.layers[layer].origins[l].xy;
+        // of the block itself, never of a copy: that of an array which is indexed would lie in memory
+        let inside = node - #{CLIPMAP_BLOCK}.layers[layer].origins[l].xy;
         if (all(inside >= vec2<i32>(0)) && all(inside < vec2<i32>(side))) { break; }
         l += 1u;
     }
     return l;
 }
 
+// Software drivers read buffers, and the size of a texture's level, once for each lane; a sample at a level that is known
+// beforehand they take for all at once.
+fn sampled_table(index: u32, part: i32) -> f32 {
+    let place = vec2<f32>(vec2<u32>(index % TABLE_WIDTH, index / TABLE_WIDTH)) + 0.5;
+    let size = vec2<f32>(textureDimensions(sampled_tables));
+    return textureSampleLevel(sampled_tables, texel_sampler, place / size, part, 0.0).x;
+}
+
+fn table_entry(index: u32) -> u32 {
+    if (SOFTWARE) { return u32(sampled_table(index, 0)); }
+    return node_table[index];
+}
+
+// Lowest and highest texel of the node of heights that was looked up for a cell.
+fn texel_range(cell: vec2<i32>, node: Node) -> vec2<f32> {
+    if (SOFTWARE) {
+        let index = table_index(HEIGHTS, cell >> vec2<u32>(frame.subtexel_bits + NODE_BITS + node.asked), node.asked);
+        return vec2<f32>(sampled_table(index, 1), sampled_table(index, 2));
+    }
+    let bounds = slot_bounds[node.slot];
+    return vec2<f32>(bounds.low, bounds.high);
+}
+
 fn lookup(layer: u32, cell: vec2<i32>, level: u32) -> Node {
     let l = windowed_level(layer, cell, level);
     let shift = clipmap.layers[layer].subtexel_bits + NODE_BITS;
-    let entry = node_table[table_index(layer, cell >> vec2<u32>(shift + l), l)];
+    let entry = table_entry(table_index(layer, cell >> vec2<u32>(shift + l), l));
     let found = (entry >> 16u) & 0xffu;
     return Node(entry & 0xffffu, found, cell >> vec2<u32>(shift + found), l);
 }
@@ -131,7 +158,10 @@ fn height_texel(slot: u32, at: vec2<i32>) -> f32 {
 
 // An entry of a node's maximum pyramid.
 fn maximum_texel(slot: u32, level: u32, entry: vec2<i32>) -> f32 {
-    return textureLoad(maxima_atlas, maxima_place(level, entry), i32(slot), 0).x;
+    let place = maxima_place(level, entry);
+    if (!SOFTWARE) { return textureLoad(maxima_atlas, place, i32(slot), 0).x; }
+    let at = (vec2<f32>(place) + 0.5) / vec2<f32>(MAXIMA_SIZE);
+    return textureSampleLevel(maxima_atlas, texel_sampler, at, i32(slot), 0.0).x;
 }
 
 // The texels at `at`, right of it, below it, and diagonally: one gather, aimed at the corner that they share.

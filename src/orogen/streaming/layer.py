@@ -32,7 +32,7 @@ from orogen.streaming.tiles import (
 
 _AHEAD = 64
 """Loaded nodes, at most, that wait to be uploaded."""
-_BLOCK_MIPS = 4
+BLOCK_MIPS = 4
 """Sizes of blocks whose ranges are kept: 16 to 128 texels."""
 
 
@@ -69,7 +69,7 @@ class Layer:
         self.slots = np.zeros((self.atlas.capacity, 4), np.float32)
         """Per slot: lowest and highest texel, bound on the error (m), level."""
         side = settings.node_size // BLOCK if self.is_height else 0
-        self.blocks = [np.zeros((self.atlas.capacity, side >> k, side >> k, 2), np.float32) for k in range(_BLOCK_MIPS)]
+        self.blocks = [np.zeros((self.atlas.capacity, side >> k, side >> k, 2), np.float32) for k in range(BLOCK_MIPS)]
         """Per slot: lowest and highest height of blocks of texels, then of 2 x 2 of these, and so on."""
         self.version = 0
         """Counts changes of `current` and of what is in its slots."""

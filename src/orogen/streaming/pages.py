@@ -51,6 +51,8 @@ class PageStore(Generic[K]):
         if self.capacity < 1:
             raise BudgetError(f"{name}: expected room for at least one page of {page_bytes} bytes, got {memory}")
         self._slots: OrderedDict[K, int] = OrderedDict()
+        self.version = 0
+        """Counts what has come to be resident or is so no longer."""
         self._wishes: WeakKeyDictionary[object, list[K]] = WeakKeyDictionary()
         self._wanted: frozenset[K] = frozenset()
         self._count = min(_FIRST, self.capacity)
@@ -123,6 +125,7 @@ class PageStore(Generic[K]):
             except GpuError as error:
                 if key in self._slots:
                     self._free.append(self._slots.pop(key))
+                    self.version += 1
                 self._loader.fail(key, error)
                 continue
             self._loader.done(key)
@@ -146,6 +149,7 @@ class PageStore(Generic[K]):
     def _buffer_for(self, key: K) -> Buffer:
         """The buffer, with a slot for the page."""
         if key not in self._slots:
+            self.version += 1
             victim = None if self._free else next((old for old in self._slots if old not in self._wanted), None)
             if not self._free and self._count < self.capacity:
                 try:

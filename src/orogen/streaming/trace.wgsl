@@ -21,6 +21,12 @@ const STAYS_ABOVE = COVERED && ANY_HIT;
 const CEILING_BLOCK = #{CEILING_BLOCK};   // cells along the side of a block that shares a sun ceiling
 const CEILING_BITS = firstTrailingBit(u32(CEILING_BLOCK));
 
+// Rays leave the loop over blocks where they come down to a cell, and ask the block around the next cell first: a software
+// driver takes another turn of every loop for all lanes.
+const EAGER = SOFTWARE && !ANY_HIT;
+const START = 5u;                         // 2^START cells: the blocks that are asked first
+const LEAST = select(0u, 1u, EAGER);
+
 const UNKNOWN = 0;
 const ABOVE = 1;
 const BELOW = 2;
@@ -162,7 +168,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
         // one node
         let level = traversal_level(cell);
         let node = lookup(HEIGHTS, cell, level);
-        let bounds = slot_bounds[node.slot];
+        let range = texel_range(cell, node);
         let node_shift = vec2<u32>(frame.subtexel_bits + NODE_BITS + node.asked);
         let node_low = max((cell >> node_shift) << node_shift, frame.extent.xy);
         let node_high = min(((cell >> node_shift) + 1) << node_shift, frame.extent.zw);
@@ -170,8 +176,8 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
         let node_exits = select(vec2<f32>(1e30), node_way, d != vec2<f32>(0.0));
         let node_end = clamp(min(node_exits.x, node_exits.y), t, span.y);
 
-        let above = side != BELOW && lowest_on(z, t, node_end) > bounds.high - frame.eye_height;
-        let under = !STAYS_ABOVE && side != ABOVE && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
+        let above = side != BELOW && lowest_on(z, t, node_end) > range.y - frame.eye_height;
+        let under = !STAYS_ABOVE && side != ABOVE && highest_on(z, t, node_end) < range.x - frame.eye_height;
         if (node.slot == NO_SLOT || above) {
             side = ABOVE;
         } else if (under) {
@@ -186,7 +192,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
             let path = path_of(o, d, origin, shift);
             // a ray that starts on the ground, or is under it, meets cells next; others start at coarse blocks
             let low = (!from_below && t == from_t) || (!STAYS_ABOVE && side == BELOW);
-            var k = select(7u, 0u, low);
+            var k = select(START, LEAST, low);
             var way_out: Crossing;
             // the ray's height, sheared as ceilings are: from here on it is this or more
             var sheared = -1e30;
@@ -209,14 +215,17 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                 loop {
                     steps += 1;
                     way_out = crossing_of(c, k, path);
-                    if (k == 0u || steps > STEPS) { break; }
+                    if ((!EAGER && k == 0u) || steps > STEPS) { break; }
                     if (ANY_HIT && over && k == CEILING_BITS) {
                         clear = sheared >= ceiling_over(node.slot, c);
                         if (clear) { break; }
                     }
                     let highest = maximum_texel(node.slot, k, c >> vec2<u32>(k));
-                    if (lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
+                    // a ray under the surface is never over a block, and meets every cell
+                    let buried = EAGER && side == BELOW;
+                    if (buried || lowest_on(z, t, clamp(way_out.t, t, node_end)) <= highest - frame.eye_height) {
                         k = select(k - 1u, 0u, STAYS_ABOVE && k == CEILING_BITS);
+                        if (EAGER && k == 0u) { break; }
                         continue;
                     }
                     side = ABOVE;
@@ -229,6 +238,7 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                 }
                 if (steps > STEPS) { return miss; }
                 if (k > 0u) { break; }
+                if (EAGER) { way_out = crossing_of(c, 0u, path); }
                 let end = clamp(way_out.t, t, node_end);
 
                 // the cell between samples c - 1 and c
@@ -280,11 +290,11 @@ fn trace(ray: Ray, from_t: f32, to_t: f32, from_below: bool) -> Hit {
                     side = end_side;
                 }
                 t = end;
-                let dives = side == BELOW && highest_on(z, t, node_end) < bounds.low - frame.eye_height;
+                let dives = side == BELOW && highest_on(z, t, node_end) < range.x - frame.eye_height;
                 if (way_out.t >= node_end || dives) { break; }
                 let before = c;
                 c = next_cell(c, 0u, way_out, t, path);
-                if (side != BELOW && (((before.x ^ c.x) | (before.y ^ c.y)) >> 1u) != 0) { k = 1u; }
+                if (EAGER || (side != BELOW && (((before.x ^ c.x) | (before.y ^ c.y)) >> 1u) != 0)) { k = 1u; }
             }
         }
         t = node_end;
@@ -335,7 +345,7 @@ fn cell_coverage(slot: u32, c: vec2<i32>) -> vec4<f32> {
 
 // Whether the surface exists at a place in a cell.
 fn is_solid(cover: vec4<f32>, way: vec2<f32>) -> bool {
-    return bilinear(cover.x, cover.y, cover.z, cover.w, way) >= 0.5;
+    return COVERED || bilinear(cover.x, cover.y, cover.z, cover.w, way) >= 0.5;
 }
 
 // Whether terrain stands between a camera-relative position on the ground and the sky in a direction. What was drawn may

@@ -2,55 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
-from dataclasses import dataclass
-from typing import Any, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.frame import Frame
-from orogen.lod.bdam.diamonds import Diamonds, Floats, Ints, code
+from orogen.lod.bdam.diamonds import Floats, Ints, code
 from orogen.lod.bdam.patches import Patches
-from orogen.lod.quadtree import PatchFrame, PatchTree
+from orogen.lod.quadtree import BoxFrame, kernels
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """Patches of a frame."""
 
-    drawn: list[tuple[int, Ints, Ints, Ints]]
-    """Per level that has some: the level, cx, cy and side of the patches to draw."""
-    codes: list[int]
-    """Codes of these, in the same order."""
-    wanted: list[int]
+    level: Ints
+    """(n,) of the patches to draw, from the top down."""
+    cx: Ints
+    """(n,)"""
+    cy: Ints
+    """(n,)"""
+    side: Ints
+    """(n,)"""
+    wanted: Ints
     """Codes of all patches on the way down to them that may be seen, the coarsest first."""
 
-
-class _Boxes:
-    """What PatchFrame asks a tree for, where the places are boxes themselves."""
-
-    def __init__(self, diamonds: Diamonds) -> None:
-        self.grid = diamonds.grid
-
-    def samples(self, level: int, first: Floats, last: Floats) -> tuple[Floats, Floats]:
-        return first, last
+    @property
+    def codes(self) -> Ints:
+        """(n,) codes of the patches to draw."""
+        return code(self.level, self.cx, self.cy, self.side)
 
 
-class DiamondFrame(PatchFrame):
-    """The diamonds as the LOD camera of a frame sees them. Places are boxes of samples, levels cells of the ground."""
+class DiamondFrame(BoxFrame):
+    """The diamonds as the LOD camera of a frame sees them."""
 
     def __init__(self, patches: Patches, frame: Frame, pixels: float) -> None:
         """`pixels`: that the surface may be off."""
-        # the ranges of the ground stand for those of the clipmap's nodes
-        super().__init__(cast(PatchTree, _Boxes(patches.diamonds)), frame, cast(Any, None))
+        super().__init__(patches.diamonds.grid, frame)
         self._patches = patches
         self._diamonds = patches.diamonds
         self._scale = frame.pixels_per_radian(frame.lod) / pixels
-
-    def bounds(self, level: int, x: NDArray[Any], y: NDArray[Any]) -> tuple[Floats, Floats]:
-        """Lowest and highest true height (m) in boxes from x to y (column, row)."""
-        return self._patches.ground.range(level, x, y)
+        # by which the longest edges that there may be pass under the bent ground
+        self._sags = frame.curvature_factor * patches.chords
 
     def shares(self, level: int, cx: Ints, cy: Ints) -> Floats:
         """Screen-space errors of diamonds, over what they may be.
@@ -58,19 +51,30 @@ class DiamondFrame(PatchFrame):
         The object-space error at the nearest point of the box, which holds the boxes of all that comes of a split, or
         at the near plane: nothing nearer is drawn. Never less than for any diamond further down.
         """
-        distance = self.distance(self._mip(level, 6), *cast(Any, self._diamonds.box(level, cx, cy)))
-        errors = self._patches.errors(level, cx, cy) * self.frame.exaggeration + self._sag(level)
+        first, last = self._diamonds.box(level, cx, cy)
+        distance = self.box_distance(first, last, *self._patches.ground.range(self._mip(level, 6), first, last))
+        errors = self._patches.errors(level, cx, cy) * self.frame.exaggeration
+        errors += self._sags[level - self._diamonds.lowest]
         return errors * self._scale / np.maximum(distance, self.frame.lod.near)
 
-    def choose(self, resident: Container[int] | None = None) -> Choice:
-        """What to draw, of the `resident` patches alone: coarser ones where finer ones are not there yet."""
+    def choose(self, resident: Ints | None = None) -> Choice:
+        """What to draw, of the patches with these codes, in order; coarser ones where finer ones are not there."""
+        if compiled := kernels("orogen.lod.bdam.walk"):
+            codes = _NO_CODES if resident is None else resident
+            near = float(self.frame.lod.near)
+            eye, facts = self.compiled_eye(compiled), self._patches.facts(compiled)
+            return Choice(*compiled.choose(eye, facts, self._sags, self._scale, near, codes, resident is None))
+        return self._walk(resident)
+
+    def _walk(self, resident: Ints | None) -> Choice:
         diamonds, level = self._diamonds, self._diamonds.top
         cx, cy, side = np.ones(2, np.int64), np.ones(2, np.int64), np.arange(2)
         exist, seen = self._looked_at(level, cx, cy, side)
         cx, cy, side, seen = cx[exist], cy[exist], side[exist], seen[exist]
-        result = Choice([], [], code(level, cx, cy, side)[seen].tolist())
-        if resident is not None and not all(number in resident for number in result.wanted):
-            return Choice([], [], [])
+        drawn: list[tuple[Ints, Ints, Ints, Ints]] = [(_NO_CODES,) * 4]
+        wanted = [code(level, cx, cy, side)[seen]]
+        if resident is not None and not np.isin(wanted[0], resident).all():
+            return Choice(*(_NO_CODES,) * 5)
         while cx.size:
             keys, diamond = np.unique(cy << 32 | cx, return_inverse=True)
             x, y = keys & 0xFFFFFFFF, keys >> 32
@@ -81,42 +85,37 @@ class DiamondFrame(PatchFrame):
             exist, visible = self._looked_at(level - 1, *parts)
             numbers = code(level - 1, *parts)
             if resident is not None:
-                there = [[number in resident for number in four] for four in numbers[split].tolist()]
-                split[split] = (np.array(there, bool).reshape(-1, 4) | ~visible[split]).all(axis=1)
+                split &= (np.isin(numbers, resident) | ~visible).all(axis=1)
             shown = seen & ~split[diamond]
-            if shown.any():
-                chosen = cx[shown], cy[shown], side[shown]
-                result.drawn.append((level, *chosen))
-                result.codes.extend(code(level, *chosen).tolist())
+            drawn.append((np.full(int(shown.sum()), level), cx[shown], cy[shown], side[shown]))
             exist &= split[:, None]
             visible &= exist
-            result.wanted.extend(numbers[visible].tolist())
+            wanted.append(numbers[visible])
             cx, cy, side = (values[exist] for values in parts)
             seen = visible[exist]
             level -= 1
-        return result
+        levels, cx, cy, side = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+        return Choice(levels, cx, cy, side, np.concatenate(wanted))
 
     def _too_coarse(self, level: int, cx: Ints, cy: Ints) -> NDArray[np.bool_]:
         """Whether diamonds have to be split: those that anything to be seen may come of."""
         if level == self._diamonds.lowest:
             return np.zeros(cx.size, bool)
-        visible = self.visible(self._mip(level, 6), *cast(Any, self._diamonds.box(level, cx, cy)))
+        first, last = self._diamonds.box(level, cx, cy)
+        visible = self.box_visible(first, last, *self._patches.ground.range(self._mip(level, 6), first, last))
         return visible & (self.shares(level, cx, cy) > 1)
 
     def _looked_at(self, level: int, cx: Ints, cy: Ints, side: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether patches exist, and whether they may be in the picture."""
         flat = cx.ravel(), cy.ravel(), side.ravel()
         exist = self._diamonds.exists(level, *flat)
-        visible = self.visible(self._mip(level, 2), *cast(Any, self._diamonds.patch_box(level, *flat)))
+        first, last = self._diamonds.patch_box(level, *flat)
+        visible = self.box_visible(first, last, *self._patches.ground.range(self._mip(level, 2), first, last))
         return exist.reshape(cx.shape), (exist & visible).reshape(cx.shape)
 
     def _mip(self, level: int, halves: int) -> int:
         """The cells of the ground that suit boxes of a level."""
         return self._patches.ground.mip(halves * self._diamonds.half(level) / (1 << self._diamonds.bits))
 
-    def _sag(self, level: int) -> float:
-        """Metres by which the longest edge that there may be passes under the bent ground, with curvature."""
-        diamonds = self._diamonds
-        longest = np.array([[1.0, 1.0], [1.0, -1.0]] if level % 2 == 0 else [[1.0, 0.0], [0.0, 1.0]])
-        longest *= 2 * diamonds.half(level) / (1 << diamonds.bits) / (1 if level > 0 else diamonds.n)
-        return self.frame.curvature_factor * float(((diamonds.grid.metres @ longest) ** 2).sum(axis=0).max()) / 4
+
+_NO_CODES = np.zeros(0, np.int64)

@@ -131,7 +131,7 @@ class Diamonds:
         return np.clip(first / scale, 0, self.last), np.clip(last / scale, 0, self.last)
 
 
-def code(level: int, cx: Ints, cy: Ints, side: Ints | int) -> Ints:
+def code(level: int | Ints, cx: Ints, cy: Ints, side: Ints | int) -> Ints:
     """One number for each patch."""
     return (level + _LIFT) << 57 | cy << 29 | cx << 1 | side
 

@@ -27,13 +27,15 @@ class Ground:
         low, high, twist = (cells[..., i] for i in range(3))
         # where all is void any height will do
         void, lowest = high < low, low.min()
-        self._mips = [np.stack([-np.where(void, lowest, low), np.where(void, lowest, high), twist], axis=-1)]
-        while max(self._mips[-1].shape[:2]) > 1:
-            self._mips.append(_halved(self._mips[-1]))
+        self.mips = [np.stack([-np.where(void, lowest, low), np.where(void, lowest, high), twist], axis=-1)]
+        """(rows, columns, 3) negated lowest and highest height and a quarter of the twist (m) of cells, then of two by
+        two of these, and so on."""
+        while max(self.mips[-1].shape[:2]) > 1:
+            self.mips.append(_halved(self.mips[-1]))
 
     def mip(self, samples: float) -> int:
         """Which cells suit boxes that are so wide: they touch four in a row at most."""
-        return min(len(self._mips) - 1, max(0, math.ceil(math.log2(samples / (3 * CELL)))))
+        return min(len(self.mips) - 1, max(0, math.ceil(math.log2(samples / (3 * CELL)))))
 
     def range(self, mip: int, first: Floats, last: Floats) -> tuple[Floats, Floats]:
         """Lowest and highest true height (m) in boxes from first to last column and row."""
@@ -52,7 +54,7 @@ class Ground:
 
     def _most(self, mip: int, first: Floats, last: Floats) -> Floats:
         """(n, 3) highest values of the cells that boxes touch."""
-        table, side = self._mips[mip], CELL << mip
+        table, side = self.mips[mip], CELL << mip
         low = np.floor(first / side).astype(np.int64)
         high = np.maximum(np.ceil(last / side).astype(np.int64) - 1, low)
         limit = np.array(table.shape[1::-1]) - 1

@@ -13,10 +13,12 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer
 from orogen.keys import NodeKey
 from orogen.lod.bdam.choose import Choice, DiamondFrame
+from orogen.lod.bdam.diamonds import Ints
 from orogen.lod.bdam.patches import Patches
 from orogen.lod.bdam.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Statistics
 from orogen.lod.contract import Patches as PatchesDraw
+from orogen.lod.resident import Residents, rows_of
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 from orogen.streaming.pages import PageStore
 
@@ -53,6 +55,8 @@ class View(AlgorithmView):
         self._settings = settings
         self._patches = patches
         self._pages = pages
+        self._residents = Residents(pages, int)
+        self._parts = np.zeros(0, np.int64)
         self._module = draws
         self._arguments = self._gpu.buffer("bdam draw", 16, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "bdam")
         self._list: Buffer | None = None
@@ -62,21 +66,22 @@ class View(AlgorithmView):
 
     def wants(self, frame: Frame) -> Sequence[NodeKey]:
         """Asks for patches, not for nodes."""
-        self._pages.want(self._seen(frame).choose().wanted, self)
+        self._pages.want(self._seen(frame).choose().wanted.tolist(), self)
         return ()
 
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Choose resident patches, and list them for the GPU."""
-        choice = self._seen(frame).choose(self._pages.resident)
-        counts = np.array([self._patches.triangle_counts[code] for code in choice.codes], np.int64)
-        parts = -(-counts // CLUSTER)
-        clusters = np.empty((int(parts.sum()), 2), np.uint32)
-        clusters[:, 0] = np.repeat(np.arange(counts.size), parts)
-        clusters[:, 1] = CLUSTER * (np.arange(len(clusters)) - np.repeat(np.cumsum(parts) - parts, parts))
-        self._list = self._written(self._list, "bdam patches", self._described(choice))
+        if self._residents.update():
+            counts = [self._patches.triangle_counts[code] for code in self._residents.keys]
+            self._parts = -(-np.array(counts, np.int64) // CLUSTER)
+        choice = self._seen(frame).choose(self._residents.numbers)
+        places = self._residents.places(choice.codes)
+        patch, number = rows_of(self._parts[places])
+        clusters = np.stack([patch, CLUSTER * number], axis=1).astype(np.uint32)
+        self._list = self._written(self._list, "bdam patches", self._described(choice, self._residents.slots[places]))
         self._clusters = self._written(self._clusters, "bdam clusters", clusters)
         self._gpu.write(self._arguments, np.array([3 * CLUSTER, len(clusters), 0, 0], np.uint32))
-        self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=counts.size, draws=1)
+        self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=places.size, draws=1)
         return [PatchesDraw(self._module, self._bound(), self._arguments, "triangle-list")]
 
     def statistics(self) -> Statistics:
@@ -86,20 +91,21 @@ class View(AlgorithmView):
     def _seen(self, frame: Frame) -> DiamondFrame:
         return DiamondFrame(self._patches, frame, self._settings.pixels)
 
-    def _described(self, choice: Choice) -> NDArray[Any]:
+    def _described(self, choice: Choice, slots: Ints) -> NDArray[Any]:
         diamonds = self._patches.diamonds
-        rows = np.zeros(len(choice.codes), _PATCH)
-        start = 0
-        for level, cx, cy, side in choice.drawn:
-            some = rows[start : start + cx.size]
-            start += cx.size
+        level, cx, cy, side = choice[:4]
+        rows = np.zeros(level.size, _PATCH)
+        # level by level: the rule for corners differs between odd and even ones
+        ends = np.searchsorted(-level, -np.unique(level)[::-1], "right").tolist()
+        for start, end in zip([0, *ends], ends, strict=False):
+            some, one, at = rows[start:end], int(level[start]), slice(start, end)
             # from the first sample's centre, half a texel from the corner
-            some["corner"] = diamonds.corners(level, cx, cy, side).min(axis=1) + (1 << diamonds.bits - 1)
-            some["unit"] = diamonds.unit(level)
-            some["id"] = ((level - diamonds.lowest) << 26 ^ cy << 14 ^ cx << 1 ^ side) & 0xFFFFFFFF
-            some["level"], some["tile_level"] = max(0, level // 2), level - diamonds.lowest
-        slots = [self._pages.resident[code] for code in choice.codes]
-        rows["page"] = np.array(slots, np.int64) * (self._pages.page_bytes // 4)
+            corners = diamonds.corners(one, cx[at], cy[at], side[at])
+            some["corner"] = corners.min(axis=1) + (1 << diamonds.bits - 1)
+            some["unit"], some["level"] = diamonds.unit(one), max(0, one // 2)
+        rows["tile_level"] = level - diamonds.lowest
+        rows["id"] = ((level - diamonds.lowest) << 26 ^ cy << 14 ^ cx << 1 ^ side) & 0xFFFFFFFF
+        rows["page"] = slots * (self._pages.page_bytes // 4)
         return rows
 
     def _written(self, buffer: Buffer | None, label: str, rows: NDArray[Any]) -> Buffer:

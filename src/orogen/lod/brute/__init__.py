@@ -149,7 +149,7 @@ class Brute(Algorithm):
         if not self.clipmap.heights.present:
             return np.zeros((0, 2), np.uint32), np.zeros((0, 2), np.uint32)
         seen = PatchFrame(self.tree, frame, view)
-        x, y = seen.select(lambda level, x, y: np.ones(x.shape, bool))[0]
+        _, x, y = seen.leaves()
         spacing = float(np.linalg.norm(frame.grid.metres, axis=0).max())
         reach = spacing * frame.pixels_per_radian(frame.lod) / self.settings.split_pixels
         near = seen.distance(0, x, y) < reach

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orogen.camera import Camera
 from orogen.errors import BudgetError, SettingsError
 from orogen.frame import Frame, subtexel_bits
 from orogen.gpu import FrameTimer, Readback
+from orogen.grid import Grid
 from orogen.lod.cbt.field import DEEPEST, Shape, deepest_field, plant, shape_of, tree_bytes
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
@@ -39,12 +41,7 @@ _COUNTERS = (
     "refused", "divided", "joined", "added", "regions", "drawn",
 )  # fmt: skip
 _STATE = np.dtype([(name, "u4") for name in _COUNTERS])
-_BLOCK = np.dtype(
-    [
-        ("side", "i4"), ("finest", "u4"), ("capacity", "u4"), ("reach", "f4"), ("planes", "f4", (5, 4)),
-        ("error_reach", "f4"), ("padding", "f4", 3),
-    ]
-)  # fmt: skip
+_BLOCK = struct.Struct("<iIIf20ff12x")
 
 _log = logging.getLogger("orogen")
 
@@ -100,7 +97,7 @@ class View(AlgorithmView):
         """Raises BudgetError where the tree does not fit."""
         self._algorithm = algorithm
         gpu, depth = algorithm.clipmap.gpu, algorithm.shape.field_depth
-        self._block = gpu.buffer("cbt", _BLOCK.itemsize, "UNIFORM|COPY_DST", "cbt")
+        self._block = gpu.buffer("cbt", _BLOCK.size, "UNIFORM|COPY_DST", "cbt")
         self._tree = gpu.buffer("cbt tree", tree_bytes(depth), "STORAGE|COPY_DST|COPY_SRC", "cbt")
         self._state = gpu.buffer("cbt state", _STATE.itemsize, "STORAGE|COPY_SRC", "cbt")
         self._dispatches = gpu.buffer("cbt dispatches", 36, "STORAGE|INDIRECT", "cbt")
@@ -135,8 +132,8 @@ class View(AlgorithmView):
         algorithm, kernels = self._algorithm, self._algorithm.kernels
         self._keep_up()
         block = uniforms(frame, algorithm.settings, algorithm.shape, self._capacity)
-        if block.tobytes() != self._written:
-            self._written = block.tobytes()
+        if block != self._written:
+            self._written = block
             algorithm.clipmap.gpu.write(self._block, block)
         run = timer.compute_pass(encoder, "update tree")
         run.set_bind_group(0, view.bind_group)
@@ -267,17 +264,23 @@ class Cbt(Algorithm):
         return View(self)
 
 
-def uniforms(frame: Frame, settings: Settings, shape: Shape, capacity: int) -> NDArray[np.void]:
-    """The uniform block of cbt.wgsl."""
-    block = np.zeros((), _BLOCK)
-    block["side"], block["finest"], block["capacity"] = shape.side, shape.depth, capacity
-    # the longest that an edge of so many subtexels can be in metres
-    longest = np.sqrt(2) * shape.side * float(np.linalg.norm(frame.metres, 2))
+def uniforms(frame: Frame, settings: Settings, shape: Shape, capacity: int) -> bytes:
+    """The uniform block of cbt.wgsl, in plain numbers, since it is worked out in every frame."""
+    longest = math.sqrt(2) * shape.side * _longest_step(frame.grid)
     scale = frame.pixels_per_radian(frame.lod)
-    block["reach"] = longest * max(scale / settings.length, 1 / WIDEST_EDGE)
-    block["error_reach"] = scale / settings.error if settings.error else 0.0
-    block["planes"] = replace(frame, lod_camera=wider(frame.lod, frame.size)).planes()
-    return block
+    reach = longest * max(scale / settings.length, 1 / WIDEST_EDGE)
+    error_reach = scale / settings.error if settings.error else 0.0
+    wide = wider(frame.lod, frame.size)
+    seen = replace(frame, lod_camera=wide) if frame.lod_camera else replace(frame, camera=wide, jitter=(0.0, 0.0))
+    left, right, bottom, top, near = seen.plane_rows
+    planes = *left, *right, *bottom, *top, *near
+    return _BLOCK.pack(shape.side, shape.depth, capacity, reach, *planes, error_reach)
+
+
+@lru_cache(maxsize=16)
+def _longest_step(grid: Grid) -> float:
+    """The most metres that a step of one subtexel can be long."""
+    return float(np.linalg.norm(grid.metres, 2)) / (1 << subtexel_bits(grid))
 
 
 def wider(camera: Camera, size: tuple[int, int]) -> Camera:

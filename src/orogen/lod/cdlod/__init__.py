@@ -18,7 +18,7 @@ from orogen.lod.cdlod.ranges import Ranges
 from orogen.lod.cdlod.seams import COARSER_BIT
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh
-from orogen.lod.quadtree import PatchFrame, PatchTree
+from orogen.lod.quadtree import PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -96,8 +96,8 @@ class View(AlgorithmView):
         self._counts = np.zeros(2, np.int64)
         if not algorithm.clipmap.heights.present:
             return []
-        ranges = Ranges(frame, algorithm.ground, algorithm.quad_metres, algorithm.settings)
-        chosen = ranges.choose(PatchFrame(algorithm.tree, frame, view))
+        ranges = Ranges(frame, view, algorithm.ground, algorithm.quad_metres, algorithm.settings)
+        chosen = ranges.choose()
         self._counts = np.bincount(chosen.thinned, minlength=2)
         pieces = np.zeros(chosen.level.size, _PIECE)
         for name in ("x", "y", "level", "edges"):
@@ -156,7 +156,7 @@ class Cdlod(Algorithm):
         block["grid_size"] = self.settings.grid_size
         block["leaf"] = (self.tree.side << bits) // self.settings.grid_size
         block["top"], block["thinned"] = self.tree.level_count - 1, whole
-        block["range"], block["morph_range"] = ranges.end(0), self.settings.morph_range
+        block["range"], block["morph_range"] = ranges.ends[0], self.settings.morph_range
         block["ground_bits"], block["ground_columns"] = self.ground.bits, self.ground.heights.shape[1]
         eye = (ranges.eye_texel + 0.5) * (1 << bits)
         block["eye_cell"] = cell = np.clip(np.floor(eye), -(2.0**29), 2.0**29)

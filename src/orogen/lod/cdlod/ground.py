@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orogen.keys import level_shape
-from orogen.lod.quadtree import Ints, PatchTree
+from orogen.lod.quadtree import Ints, PatchTree, Table
 from orogen.streaming.clipmap import Clipmap
 from orogen.streaming.retry import steadily
 
@@ -42,25 +42,27 @@ class Ground:
         rows, columns = heights.shape
         self.heights: F32 = np.pad(heights, ((0, rows == 1), (0, columns == 1)), mode="edge")
         """(rows, columns) metres of the data at the corners of the cells, two of each at least."""
-        self._first = max(0, self.bits - int(np.log2(tree.side)))
-        self._tables = self._reduced(max(1, tree.side >> self.bits))
+        self.first = max(0, self.bits - int(np.log2(tree.side)))
+        """The first level whose nodes are made of whole cells."""
+        self.table = Table.of(self._reduced(max(1, tree.side >> self.bits)))
+        """Lowest and highest height (m) of the nodes of these levels."""
 
-    def _reduced(self, cells: int) -> list[tuple[F32, F32]]:
-        """Lowest and highest height of every node, for the levels whose nodes are made of whole cells."""
+    def _reduced(self, cells: int) -> list[F32]:
+        """(rows, columns, 2) per level whose nodes are made of whole cells; `cells`: along those of the first."""
         corners = self.heights[:-1, :-1], self.heights[:-1, 1:], self.heights[1:, :-1], self.heights[1:, 1:]
         low = _blocks(np.minimum.reduce(corners), cells, np.min)
         high = _blocks(np.maximum.reduce(corners), cells, np.max)
-        tables = [(low, high)]
-        for _ in range(self._first + 1, self.tree.level_count):
+        tables = [np.stack([low, high], axis=-1)]
+        for _ in range(self.first + 1, self.tree.level_count):
             low, high = _blocks(low, 2, np.min), _blocks(high, 2, np.max)
-            tables.append((low, high))
+            tables.append(np.stack([low, high], axis=-1))
         return tables
 
     def bounds(self, level: int, x: Ints, y: Ints) -> Bounds:
         """Lowest and highest height (m) in the nodes of a level."""
-        if level >= self._first:
-            low, high = self._tables[level - self._first]
-            return low[y, x].astype(np.float64), high[y, x].astype(np.float64)
+        if level >= self.first:
+            found = self.table.at(level - self.first, x, y)
+            return found[:, 0], found[:, 1]
         # within a cell a bilinear surface is lowest and highest in corners
         first, last = self.tree.samples(level, x, y)
         corners = [self.at(column, row) for column in (first[:, 0], last[:, 0]) for row in (first[:, 1], last[:, 1])]

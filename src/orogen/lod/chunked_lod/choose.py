@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.frame import Frame
-from orogen.lod.chunked_lod.chunks import ChunkKey, ChunkMaker, cell_shift
-from orogen.lod.quadtree import PatchFrame
+from orogen.lod.chunked_lod.chunks import ChunkKey, ChunkMaker
+from orogen.lod.quadtree import Ints, Leaves, Level, PatchFrame, neighbours
+from orogen.lod.resident import Residents, drawable, with_ancestors
 
-Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
-
-_EDGES = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 @dataclass(frozen=True)
 class Choice:
     """Chunks to draw."""
 
-    keys: list[ChunkKey]
+    chunks: Leaves
+    """(n,) each."""
+    places: Ints
+    """(n,) of these among the resident ones."""
     morph: Floats
     """(n,) 0: the chunk's own heights, 1: those of its parent's mesh."""
     drops: Floats
@@ -32,70 +31,54 @@ class Choice:
 
 
 class ChunkFrame(PatchFrame):
-    """The chunks as the LOD camera of a frame sees them."""
+    """The chunks as the LOD camera of a frame sees them; heights are true ones, not those of the clipmap's nodes."""
 
     def __init__(self, maker: ChunkMaker, frame: Frame, tau: float, lowest: int) -> None:
         """`tau`: pixels that a chunk may be off; `lowest`: finest level of the tree that is used."""
-        # the bounds below stand for those of the clipmap's nodes
-        super().__init__(maker.tree, frame, cast(Any, None))
+        # what is divided is as near as its error asks for, but for the finest level
+        divisible = np.arange(maker.tree.level_count) > lowest
+        super().__init__(maker.tree, frame, maker.survey.ranges, np.where(divisible, 1.0, 0.0))
         self._maker = maker
-        self._lowest = lowest
         self._scale = frame.pixels_per_radian(frame.lod) / tau
-
-    def bounds(self, level: int, x: Ints, y: Ints) -> tuple[Floats, Floats]:
-        """Lowest and highest true height (metres of the data) in chunks."""
-        shift, survey = cell_shift(level), self._maker.survey
-        at = y >> shift, x >> shift
-        return survey.low[level][at].astype(np.float64), survey.high[level][at].astype(np.float64)
-
-    def errors(self, level: int, x: Ints, y: Ints) -> Floats:
-        """Metres (drawn ones, exaggerated) that chunks may be off."""
+        diagonals = maker.tree.grid.metres @ np.array([[1.0, 1.0], [1.0, -1.0]])
         # with curvature, flat triangles also pass under the bent ground, as far as a chord of the chunk's diagonal does
-        diagonals = self._maker.tree.grid.metres @ np.array([[1.0, 1.0], [1.0, -1.0]]) * 2.0**level
-        sag = self.frame.curvature_factor * float((diagonals**2).sum(axis=0).max()) / 4
-        return self._maker.bound(level, x, y).astype(np.float64) * self.frame.exaggeration + sag
+        self._sag = frame.curvature_factor * float((diagonals**2).sum(axis=0).max()) / 4
 
-    def shares(self, level: int, x: Ints, y: Ints) -> Floats:
+    def errors(self, level: Level, x: Ints, y: Ints) -> Floats:
+        """Metres (drawn ones, exaggerated) that chunks may be off."""
+        return self._maker.errors.at(level, x, y)[:, 0] * self.frame.exaggeration + self._sag * 4.0**level
+
+    def shares(self, level: Level, x: Ints, y: Ints) -> Floats:
         """Screen-space errors rho (Houska 2019, equation 2.2) of chunks, over tau; infinite around the eye."""
         distance = self.distance(level, x, y)
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = self.errors(level, x, y) * self._scale / distance
         return np.where(np.isnan(shares), 0.0, shares)
 
+    def divided(self, level: int, x: Ints, y: Ints) -> NDArray[np.bool_]:
+        """Whether chunks are off by more than tau, and there are finer ones."""
+        return (self.shares(level, x, y) > 1) & (self.reach[level] > 0)
+
+    def rule(self, compiled: Any) -> Any:
+        """The same for the module of compiled kernels."""
+        return compiled.rule(compiled.ERROR, self.reach, self._scale, self._sag, self._maker.errors)
+
     def wanted(self) -> list[ChunkKey]:
         """Chunks that are fine enough, and all above them, the coarsest first."""
-        leaves = self._leaves()
-        keys = set(leaves)
+        return [ChunkKey(*key) for key in with_ancestors(self.leaves(), self.tree.level_count - 1)]
+
+    def choose(self, residents: Residents[ChunkKey], morph_range: float) -> Choice:
+        """What to draw of the resident chunks: coarser ones where finer ones are not there yet."""
+        chunks, places = drawable(self.leaves(), residents)
+        level, x, y = chunks
         top = self.tree.level_count - 1
-        for key in leaves:
-            keys.update(_above(key, top))
-        return sorted(keys, reverse=True)
-
-    def choose(self, resident: Container[ChunkKey], morph_range: float) -> Choice:
-        """What to draw of the `resident` chunks: coarser ones where finer ones are not there yet."""
-        keys = _drawable(self._leaves(), resident, self.tree.level_count - 1)
-        level, x, y = np.array(keys, np.int64).reshape(-1, 3).T
-        errors, morph = np.zeros(len(keys)), np.zeros(len(keys))
-        for t in np.unique(level).tolist():
-            at = np.flatnonzero(level == t)
-            errors[at] = self.errors(t, x[at], y[at])
-            if t + 1 < self.tree.level_count:
-                share = self.shares(t, x[at], y[at])
-                above = t + 1, x[at] >> 1, y[at] >> 1
-                morph[at] = morphs(share, self.shares(*above), morph_range)
-                errors[at] += morph[at] * (self.errors(*above) - errors[at])
-        return Choice(keys, morph, _drops(level, x, y, errors / self.frame.exaggeration))
-
-    def _leaves(self) -> list[ChunkKey]:
-        def split(level: int, x: Ints, y: Ints) -> NDArray[np.bool_]:
-            return (self.shares(level, x, y) > 1) & (level > self._lowest)
-
-        leaves = self.select(split)
-        return [
-            ChunkKey(level, *place)
-            for level, (x, y) in enumerate(leaves)
-            for place in zip(x.tolist(), y.tolist(), strict=True)
-        ]
+        errors = self.errors(level, x, y)
+        # the top has no parent, but itself
+        step = (level < top).astype(np.int64)
+        above = level + step, x >> step, y >> step
+        morph = morphs(self.shares(level, x, y), self.shares(*above), morph_range) * step
+        errors += morph * (self.errors(*above) - errors)
+        return Choice(chunks, places, morph, _drops(chunks, errors / self.frame.exaggeration))
 
 
 def morphs(share: Floats, above: Floats, morph_range: float) -> Floats:
@@ -109,41 +92,14 @@ def morphs(share: Floats, above: Floats, morph_range: float) -> Floats:
     return np.clip(np.minimum(1 - (above - 1) / morph_range, allowed), 0.0, 1.0)
 
 
-def _drawable(leaves: list[ChunkKey], resident: Container[ChunkKey], top: int) -> list[ChunkKey]:
-    """The leaves, or the nearest resident chunks above them, none below another."""
-    if all(key in resident for key in leaves):
-        return leaves
-    found: set[ChunkKey] = set()
-    for key in leaves:
-        found.update(islice((other for other in (key, *_above(key, top)) if other in resident), 1))
-    return sorted(key for key in found if not any(above in found for above in _above(key, top)))
-
-
-def _above(key: ChunkKey, top: int) -> Iterator[ChunkKey]:
-    """The chunks that a chunk is a part of, the finest first."""
-    for level in range(key.level + 1, top + 1):
-        step = level - key.level
-        yield ChunkKey(level, key.x >> step, key.y >> step)
-
-
-def _drops(level: Ints, x: Ints, y: Ints, errors: Floats) -> Floats:
+def _drops(chunks: Leaves, errors: Floats) -> Floats:
     """(n, 4): a chunk's error and that of the worst chunk beyond each edge, which is as far as their edges gape."""
-    drops = np.zeros((level.size, 4))
-    numbers = level << 58 | y << 29 | x
-    order = np.argsort(numbers)
-    known = numbers[order]
-    for edge, (dx, dy) in enumerate(_EDGES):
-        open_ = np.flatnonzero((x + dx >= 0) & (y + dy >= 0))
-        for step in range(int(np.ptp(level)) + 1 if level.size else 0):
-            t, px, py = level[open_] + step, x[open_] + dx >> step, y[open_] + dy >> step
-            number = t << 58 | py << 29 | px
-            place = np.minimum(np.searchsorted(known, number), known.size - 1)
-            met = known[place] == number
-            one, other = open_[met], order[place[met]]
-            gap = errors[one] + errors[other]
-            np.maximum.at(drops, (one, edge), gap)
-            np.maximum.at(drops, (other, edge ^ 1), gap)
-            # a parent of its own is no neighbour: whatever lies beyond the edge is finer, and meets it from there
-            own = (px == x[open_] >> step) & (py == y[open_] >> step)
-            open_ = open_[~met & ~own]
+    drops = np.zeros((errors.size, 4))
+    beyond = neighbours(chunks, int(np.ptp(chunks.level)) if errors.size else 0)
+    one, edge = np.nonzero(beyond >= 0)
+    other = beyond[one, edge]
+    gap = errors[one] + errors[other]
+    drops[one, edge] = gap
+    # several finer ones may lie beyond an edge, which meet it from there
+    np.maximum.at(drops, (other, edge ^ 1), gap)
     return drops

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orogen.lod import rtin
 from orogen.lod.chunked_lod.survey import CELL, Survey
+from orogen.lod.quadtree import Table
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -62,12 +63,17 @@ class ChunkMaker:
         """Per tree level: metres that its chunks may be off (Houska 2019, equation 2.6), but for rough ones."""
         self.bounds = self._bounds()
         """Per tree level: metres that no point of a chunk's mesh is off the true surface by (rows, columns)."""
+        self.errors = Table.of([bounds[..., None] for bounds in self.bounds], cell_shift(0))
+        """The same in one array, of which these are parts."""
+        ends = np.cumsum([bounds.size for bounds in self.bounds])
+        parts = np.split(self.errors.values[:, 0], ends[:-1])
+        self.bounds = [part.reshape(bounds.shape) for part, bounds in zip(parts, self.bounds, strict=True)]
         rows, cols = survey.samples.shape
         self._last = np.array([cols - 1, rows - 1])
         corners = np.concatenate([survey.right, survey.bottom])
         self._range = (
-            min(float(survey.low[-1].min()), float(corners.min())),
-            max(float(survey.high[-1].max()), float(corners.max())),
+            min(float(survey.ranges.values[:, 0].min()), float(corners.min())),
+            max(float(survey.ranges.values[:, 1].max()), float(corners.max())),
         )
         n = self.n
         # every quad of a border row or column may gain vertices and triangles where the raster's edge cuts it
@@ -83,11 +89,6 @@ class ChunkMaker:
     def unit(self, level: int) -> float:
         """Samples between two places of a mesh: a sample, or a quad where that is less."""
         return min(1.0, 2.0 ** (level - self.k))
-
-    def bound(self, level: int, x: Ints, y: Ints) -> NDArray[np.float32]:
-        """Metres that no point of the meshes of chunks is off the true surface by."""
-        shift = cell_shift(level)
-        return self.bounds[level][y >> shift, x >> shift]
 
     def __call__(self, key: ChunkKey) -> NDArray[np.uint32]:
         """The page of a chunk: counts, vertices, triangles; see vertex.wgsl."""

@@ -14,7 +14,7 @@ from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.chunked_lod.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh
-from orogen.lod.quadtree import Ints, PatchFrame, PatchTree
+from orogen.lod.quadtree import PatchFrame, PatchTree
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -73,29 +73,22 @@ class GridView(AlgorithmView):
             return np.zeros(0, _GRID)
         tree, n = self._grids.tree, self._grids.n
         bits, k = frame.subtexel_bits, n.bit_length() - 1
-        seen = PatchFrame(tree, frame, view)
         longest = float(np.linalg.norm(tree.grid.metres, axis=0).max())
-        reach = frame.pixels_per_radian(frame.lod) / self._pixels
-
-        def split(level: int, x: Ints, y: Ints) -> NDArray[np.bool_]:
-            if level + bits <= k:
-                # a quad is at least a subtexel wide
-                return np.zeros(x.size, bool)
-            quad = longest * 2.0**level / n
-            return seen.distance(level, x, y) < quad * reach
-
-        parts = []
+        levels = np.arange(tree.level_count)
+        scale = frame.pixels_per_radian(frame.lod) / self._pixels
+        reach = np.array([longest / n * scale * 2.0**level for level in levels.tolist()])
+        # a quad is at least a subtexel wide
+        reach[levels + bits <= k] = 0.0
         # skirts reach as far as from a grid to the next finer or coarser one
-        for level, (x, y) in enumerate(seen.select(split, restricted=True)):
-            rows = np.zeros(x.size, _GRID)
-            rows["corner"] = (np.stack([x, y], axis=1) << (level + bits)) + (1 << bits - 1)
-            rows["quad"] = 1 << level + bits - k
-            last_row, last_column = (size - 1 for size in tree.shape(level))
-            inner = x > 0, x < last_column, y > 0, y < last_row
-            rows["sides"] = sum(there.astype(np.uint32) << side for side, there in enumerate(inner))
-            rows["id"], rows["tile_level"] = (level << 26 ^ y << 13 ^ x) & 0xFFFFFFFF, level
-            parts.append(rows)
-        return np.concatenate(parts)
+        level, x, y = PatchFrame(tree, frame, view, reach).leaves(restricted=True)
+        rows = np.zeros(x.size, _GRID)
+        rows["corner"] = (np.stack([x, y], axis=1) << (level + bits)[:, None]) + (1 << bits - 1)
+        rows["quad"] = 1 << level + bits - k
+        last_row, last_column = np.array([tree.shape(one) for one in levels.tolist()])[level].T - 1
+        inner = x > 0, x < last_column, y > 0, y < last_row
+        rows["sides"] = sum(there.astype(np.uint32) << side for side, there in enumerate(inner))
+        rows["id"], rows["tile_level"] = (level << 26 ^ y << 13 ^ x) & 0xFFFFFFFF, level
+        return rows
 
 
 def grid_triangles(n: int) -> NDArray[np.int64]:

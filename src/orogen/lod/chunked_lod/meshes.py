@@ -16,6 +16,7 @@ from orogen.lod.chunked_lod.choose import Choice, ChunkFrame
 from orogen.lod.chunked_lod.chunks import CLUSTER, SIDES, ChunkKey, ChunkMaker
 from orogen.lod.chunked_lod.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Patches, Statistics
+from orogen.lod.resident import Residents, number_of, rows_of
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 from orogen.streaming.pages import PageStore
 
@@ -52,6 +53,8 @@ class MeshView(AlgorithmView):
         self._settings = settings
         self._maker = maker
         self._pages = pages
+        self._residents = Residents(pages, lambda key: int(number_of(*key)))
+        self._parts = np.zeros(0, np.int64)
         self._module = draws
         self._arguments = self._gpu.buffer("chunked_lod draw", 16, "INDIRECT|STORAGE|COPY_SRC|COPY_DST", "chunked_lod")
         self._chunks: Buffer | None = None
@@ -66,16 +69,16 @@ class MeshView(AlgorithmView):
 
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Choose resident chunks, and list them for the GPU."""
-        choice = self._seen(frame).choose(self._pages.resident, self._settings.morph_range)
-        counts = np.array([self._maker.triangle_counts[key] for key in choice.keys], np.int64)
-        parts = -(-counts // CLUSTER)
-        clusters = np.empty((int(parts.sum()), 2), np.uint32)
-        clusters[:, 0] = np.repeat(np.arange(counts.size), parts)
-        clusters[:, 1] = CLUSTER * (np.arange(len(clusters)) - np.repeat(np.cumsum(parts) - parts, parts))
+        if self._residents.update():
+            counts = [self._maker.triangle_counts[key] for key in self._residents.keys]
+            self._parts = -(-np.array(counts, np.int64) // CLUSTER)
+        choice = self._seen(frame).choose(self._residents, self._settings.morph_range)
+        chunk, number = rows_of(self._parts[choice.places])
+        clusters = np.stack([chunk, CLUSTER * number], axis=1).astype(np.uint32)
         self._chunks = self._written(self._chunks, "chunked_lod chunks", self._described(frame, choice))
         self._clusters = self._written(self._clusters, "chunked_lod clusters", clusters)
         self._gpu.write(self._arguments, np.array([3 * CLUSTER, len(clusters), 0, 0], np.uint32))
-        self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=counts.size, draws=1)
+        self._statistics = Statistics(triangles=CLUSTER * len(clusters), patches=choice.places.size, draws=1)
         # skirts lean out a little
         return [Patches(self._module, self._bound(), self._arguments, "triangle-list")]
 
@@ -88,15 +91,14 @@ class MeshView(AlgorithmView):
         return ChunkFrame(self._maker, frame, self._settings.tau, max(0, self._maker.k - frame.subtexel_bits))
 
     def _described(self, frame: Frame, choice: Choice) -> NDArray[Any]:
-        rows = np.zeros(len(choice.keys), _CHUNK)
-        level, x, y = np.array(choice.keys, np.int64).reshape(-1, 3).T
+        level, x, y = choice.chunks
+        rows = np.zeros(x.size, _CHUNK)
         bits, k = frame.subtexel_bits, self._maker.k
         rows["drops"], rows["morph"] = choice.drops, choice.morph
         # from the first sample's centre, half a texel from the corner
         rows["corner"] = (np.stack([x, y], axis=1) << (level + bits)[:, None]) + (1 << bits - 1)
         rows["unit"] = 1 << bits + np.minimum(level - k, 0)
-        slots = [self._pages.resident[key] for key in choice.keys]
-        rows["page"] = np.array(slots, np.int64) * (self._pages.page_bytes // 4)
+        rows["page"] = self._residents.slots[choice.places] * (self._pages.page_bytes // 4)
         rows["id"] = (level << 26 ^ y << 13 ^ x) & 0xFFFFFFFF
         rows["level"], rows["tile_level"] = np.maximum(level - k, 0), level
         return rows

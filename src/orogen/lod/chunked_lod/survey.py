@@ -13,7 +13,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.lod.quadtree import PatchTree
+from orogen.lod.quadtree import PatchTree, Table
 from orogen.lod.rtin import refined
 from orogen.streaming.samples import Positions, Samples
 
@@ -60,8 +60,8 @@ class Survey:
                 _log.info("chunked_lod: %d %% of the chunks measured", 100 * done // len(tiles))
         self.grids = self._coarse_grids(gather)
         """Per level from CELL_BITS up (of samples, 2^level apart): heights of its chunks' vertices."""
-        self.low, self.high = self._ranges()
-        """Per tree level: lowest and highest true height in metres per chunk (rows, columns)."""
+        self.ranges = self._ranges()
+        """Lowest and highest true height in metres of chunks."""
         self.floors = self._all_floors()
         """Per tree level: floors in metres per chunk (rows, columns)."""
         _log.info("chunked_lod: %d samples measured in %.1f s", np.prod(samples.shape), time.monotonic() - start)
@@ -173,16 +173,16 @@ class Survey:
             grids[level] = down.take(right.take(picked, 1), 0)
         return grids
 
-    def _ranges(self) -> tuple[list[F32], list[F32]]:
-        low, high = [self._low] * (_CELL_BITS + 1), [self._high] * (_CELL_BITS + 1)
+    def _ranges(self) -> Table:
+        low, high = self._low, self._high
+        levels = [np.stack([low, high], axis=-1)] * (_CELL_BITS + 1)
         for _ in range(_CELL_BITS + 1, self.tree.level_count):
-            low.append(-block_maxima(-low[-1], 2))
-            high.append(block_maxima(high[-1], 2))
+            low, high = -block_maxima(-low, 2), block_maxima(high, 2)
+            levels.append(np.stack([low, high], axis=-1))
+        table = Table.of(levels[: self.tree.level_count], _CELL_BITS)
         # where all is void any height will do
-        ground = min(float(low[-1].min()), float(high[-1].max()))
-        for table in (*low, *high):
-            table[np.isinf(table)] = ground
-        return low, high
+        table.values[np.isinf(table.values)] = min(float(low.min()), float(high.max()))
+        return table
 
     def _all_floors(self) -> list[F32]:
         floors: list[F32] = []

@@ -16,7 +16,7 @@ from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.frostbite.patterns import PATTERNS, QUADS, Bits, index_lists, pattern_of
 from orogen.lod.mesh import Mesh
-from orogen.lod.quadtree import PatchFrame, PatchTree, neighbour_steps
+from orogen.lod.quadtree import PatchFrame, PatchTree, coarser
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 
 FOLDER = Path(__file__).parent
@@ -123,15 +123,13 @@ class Frostbite(Algorithm):
         """The leaves in the LOD camera's frustum (dtype _PATCH), and the pattern of each."""
         if not self.clipmap.heights.present:
             return np.zeros(0, _PATCH), np.zeros(0, np.int64)
-        chosen = PatchFrame(self.tree, frame, view)
         # equations 2.2 and 2.3 (Houska 2019) with the quad's width as the error
         reach = self.quad_metres * frame.pixels_per_radian(frame.lod) / self.settings.pixels_per_quad
-        leaves = chosen.select(lambda level, x, y: chosen.distance(level, x, y) < reach * 2.0**level, restricted=True)
-        patches = np.zeros(sum(x.size for x, _ in leaves), _PATCH)
-        patches["x"], patches["y"] = np.concatenate(leaves, axis=1)
-        patches["level"] = np.repeat(np.arange(len(leaves)), [x.size for x, _ in leaves])
-        coarser = np.concatenate(neighbour_steps(leaves, 1)) > 0
-        return patches, pattern_of(coarser)
+        chosen = PatchFrame(self.tree, frame, view, reach * 2.0 ** np.arange(self.tree.level_count))
+        leaves = chosen.leaves(restricted=True)
+        patches = np.zeros(leaves.x.size, _PATCH)
+        patches["x"], patches["y"], patches["level"] = leaves.x, leaves.y, leaves.level
+        return patches, pattern_of(coarser(leaves))
 
     def arguments(self, counts: NDArray[np.int64]) -> NDArray[np.uint32]:
         """(patterns, 5) arguments of indexed draws of so many patches per pattern."""

@@ -6,18 +6,19 @@ it is what the distance allows keeps to the bound, and changes without a jump.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orogen.frame import Frame
-from orogen.grid import Grid
 from orogen.lod.geomipmap.errors import Errors
-from orogen.streaming.boxes import nearest_square
+from orogen.lod.quadtree import PatchFrame, PatchTree, Table, kernels
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_KERNELS = "orogen.lod.geomipmap.kernels"
 _STEP = 1.1
 """Ratio, at least, of the errors of a level and of the next finer one."""
 _NEIGHBOURS = ((0, -1), (0, 1), (-1, 0), (1, 0))
@@ -27,12 +28,14 @@ _NEIGHBOURS = ((0, -1), (0, 1), (-1, 0), (1, 0))
 class Levels:
     """The levels of all blocks of a grid."""
 
-    def __init__(self, grid: Grid, side: int, errors: Errors) -> None:
-        """`side`: quads along a block."""
-        self._grid = grid
-        self._side = side
-        self._low, self._high = errors.low.astype(np.float64), errors.high.astype(np.float64)
-        self._pairs = [_pairs(self._low.shape, step) for step in _NEIGHBOURS]
+    def __init__(self, tree: PatchTree, errors: Errors) -> None:
+        """`tree`: its patches of level 0 are the blocks."""
+        self._tree = tree
+        self._shape = errors.low.shape
+        self._heights = Table.of([np.stack([errors.low, errors.high], axis=-1)])
+        row, column = np.indices(self._shape)
+        self._blocks = np.zeros(row.size, np.int64), column.ravel(), row.ravel()
+        self._pairs = [_pairs(self._shape, step) for step in _NEIGHBOURS]
         # two more that are never reached, so that there is a next level everywhere
         sides = errors.own.reshape(len(errors.own), 4, -1).astype(np.float64)
         self._sides = _followed(sides)
@@ -45,14 +48,9 @@ class Levels:
 
     def distance(self, frame: Frame) -> F64:
         """(rows, columns) metres from the LOD eye to the nearest point of the blocks' boxes."""
-        rows, columns = self._low.shape
-        first = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) * self._side
-        last = np.minimum(first + self._side, np.array([self._grid.width, self._grid.height]) - 1)
-        lod = frame.lod_eye()
-        eye = frame.eye - 0.5 + self._grid.texels @ lod[:2]
-        up = lod[2] + frame.camera.z
-        above = np.maximum(np.maximum(self._low * frame.exaggeration - up, up - self._high * frame.exaggeration), 0)
-        return np.sqrt(nearest_square(self._grid.metres, first - eye, last - eye) + above**2)
+        # to the boxes where they are without curvature
+        flat = replace(frame, curvature=False) if frame.curvature else frame
+        return PatchFrame(self._tree, flat, self._heights).distance(*self._blocks).reshape(self._shape)
 
     def allowed_error(self, frame: Frame, max_error: float) -> F64:
         """(rows, columns) metres of the data that are `max_error` pixels at the blocks' distance (equation 2.3)."""
@@ -66,6 +64,9 @@ class Levels:
         """
         # the finest level is the best there is
         bound = np.maximum(allowed.ravel(), self._own[0])
+        if compiled := kernels(_KERNELS):
+            level = compiled.levels(self._own, self._sides, self._seam, bound, self._shape[1], morph)
+            return np.asarray(level).reshape(allowed.shape)
         level = self._free(bound)
         level = level if morph else np.floor(level)
         changed = np.ones(level.size, bool)
@@ -85,6 +86,8 @@ class Levels:
     def edges(self, level: F64) -> F64:
         """(4, rows, columns) levels of the blocks' west, east, north and south edges: those of the coarser side."""
         flat = level.ravel()
+        if compiled := kernels(_KERNELS):
+            return np.asarray(compiled.edges(flat, self._shape[1])).reshape(4, *level.shape)
         edges = np.tile(flat, (4, 1))
         for edge, (own, other) in zip(edges, self._pairs, strict=True):
             edge[own] = np.maximum(flat[own], flat[other])

@@ -15,11 +15,12 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer
 from orogen.keys import NodeKey
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
-from orogen.lod.hqterrain.choose import TileFrame, above, drawable, seams, strip
+from orogen.lod.hqterrain.choose import Seams, TileFrame, seams, strip
 from orogen.lod.hqterrain.ground import Ground
 from orogen.lod.hqterrain.settings import Settings
-from orogen.lod.hqterrain.tiles import FINEST, VERTEX, Shape, Tile, TileMaker
-from orogen.lod.quadtree import PatchTree
+from orogen.lod.hqterrain.tiles import FINEST, VERTEX, Shape, Tile, TileKey, TileMaker
+from orogen.lod.quadtree import Ints, Leaves, PatchTree
+from orogen.lod.resident import Residents, drawable, number_of, with_ancestors
 from orogen.streaming.clipmap import Clipmap, ClipmapView
 from orogen.streaming.pages import PageStore
 from orogen.streaming.samples import Samples
@@ -60,53 +61,81 @@ class View(AlgorithmView):
         self._group: tuple[Any, ...] = ()
         self._statistics = Statistics()
         self._between = lru_cache(maxsize=2048)(_between)
+        self._residents = Residents(algorithm.store, lambda key: int(number_of(*key)))
+        self._tiles: list[Tile] = []
+        self._finest = np.zeros(0, np.int64)
+        self._corners = np.zeros((0, 4))
+        self._listed: Any = None
 
     def wants(self, frame: Frame) -> Sequence[NodeKey]:
         """Asks for tiles, not for nodes."""
         algorithm = self._algorithm
-        leaves = self._seen(frame).leaves()
-        top = algorithm.maker.tree.level_count - 1
-        wanted = {*leaves, *(other for key in leaves for other in above(key, top))}
-        algorithm.store.want(sorted(wanted, reverse=True), self)
+        wanted = with_ancestors(self._seen(frame).leaves(restricted=True), algorithm.maker.tree.level_count - 1)
+        algorithm.store.want([TileKey(*key) for key in wanted], self)
         algorithm.maker.keep({*algorithm.store.wanted, *algorithm.store.resident})
         return ()
 
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Choose resident tiles, send what they lack, and list their triangles and those between them."""
         algorithm, seen = self._algorithm, self._seen(frame)
-        resident, top = algorithm.store.resident, algorithm.maker.tree.level_count - 1
-        keys = drawable(seen.leaves(), resident, top)
-        tiles = [algorithm.maker.tiles[key] for key in keys]
-        nearest = seen.details(keys)
-        details = np.maximum(np.floor(nearest).astype(np.int64), np.array([tile.finest for tile in tiles], np.int64))
-        meetings = list(seams(keys, top))
-        halved = [0] * len(keys)
-        for i, side, others in meetings:
-            halved[i] |= (keys[others[0]].level < keys[i].level) << side
-        meshes = [(tile, Shape(*shape)) for tile, *shape in zip(tiles, details.tolist(), halved, strict=True)]
-        places = np.array([algorithm.send(*mesh) for mesh in meshes], np.int64)
-        clusters = _clusters(places.reshape(-1, 2))
-        rows = self._described(frame, tiles)
-        rows["morphs"], rows["detail"] = seen.corner_morphs(tiles, nearest, details), details
+        if self._residents.update():
+            self._tiles = [algorithm.maker.tiles[key] for key in self._residents.keys]
+            self._finest = np.array([tile.finest for tile in self._tiles], np.int64)
+            self._corners = np.array([tile.corners for tile in self._tiles]).reshape(-1, 4)
+        chosen, places = drawable(seen.leaves(restricted=True), self._residents)
+        nearest = seen.details(chosen)
+        details = np.maximum(np.floor(nearest).astype(np.int64), self._finest[places])
+        rows = self._described(frame, chosen, places)
+        rows["morphs"] = seen.corner_morphs(chosen, self._corners[places], nearest, details)
+        rows["detail"] = details
         self._write("tiles", rows)
-        self._write("clusters", clusters)
-        pairs = [
-            self._between(meshes[i], side, tuple(meshes[k] for k in others), i, tuple(others))
-            for i, side, others in meetings
-        ]
-        numbers = np.concatenate([np.zeros((0, 3), np.uint32), *pairs])
-        # to whole clusters; the rest has no area
-        filled = np.zeros((-(-len(numbers) // CLUSTER) * CLUSTER, 3), np.uint32)
-        filled[: len(numbers)] = numbers
-        self._write("seams", filled)
-        counts = np.array([[3 * CLUSTER, count, 0, 0] for count in (len(clusters), len(filled) // CLUSTER)], np.uint32)
-        self._gpu.write(self._arguments, counts)
-        self._statistics = Statistics(int(counts[:, 1].sum()) * CLUSTER, len(tiles), 2)
+        self._list(chosen, places, details)
         group = self._bound()
         return [
             Patches(module, group, self._arguments, "triangle-list", offset=16 * i)
             for i, module in enumerate(algorithm.modules)
         ]
+
+    def _list(self, chosen: Leaves, places: Ints, details: Ints) -> None:
+        """Write the lists of triangles, unless they are those of the frame before."""
+        algorithm = self._algorithm
+        # lists may be written anew for the sake of other views, too
+        key = self._residents.version, algorithm.bytes_sent, places.tobytes(), details.tobytes()
+        if key == self._listed:
+            return
+        meetings = seams(chosen)
+        halved = np.zeros(places.size, np.int64)
+        finer = chosen.level[meetings.beyond[meetings.starts[:-1]]] < chosen.level[meetings.tile]
+        np.bitwise_or.at(halved, meetings.tile, finer.astype(np.int64) << meetings.side)
+        meshes = [
+            (self._tiles[place], Shape(*shape))
+            for place, *shape in zip(places.tolist(), details.tolist(), halved.tolist(), strict=True)
+        ]
+        clusters = _clusters(np.array([algorithm.send(*mesh) for mesh in meshes], np.int64).reshape(-1, 2))
+        numbers = self._seam_triangles(meetings, meshes)
+        # to whole clusters; the rest has no area
+        filled = np.zeros((-(-len(numbers) // CLUSTER) * CLUSTER, 3), np.uint32)
+        filled[: len(numbers)] = numbers
+        self._write("clusters", clusters)
+        self._write("seams", filled)
+        counts = np.array([[3 * CLUSTER, count, 0, 0] for count in (len(clusters), len(filled) // CLUSTER)], np.uint32)
+        self._gpu.write(self._arguments, counts)
+        self._statistics = Statistics(int(counts[:, 1].sum()) * CLUSTER, places.size, 2)
+        self._listed = self._residents.version, algorithm.bytes_sent, *key[2:]
+
+    def _seam_triangles(self, meetings: Seams, meshes: list[tuple[Tile, Shape]]) -> NDArray[np.int64]:
+        """(m, 3) vertices of the triangles between tiles, with the numbers of these."""
+        tiles, starts, beyond = meetings.tile.tolist(), meetings.starts.tolist(), meetings.beyond.tolist()
+        parts = [
+            self._between(meshes[tile], side, tuple(meshes[k] for k in beyond[first:last]))
+            for tile, side, first, last in zip(tiles, meetings.side.tolist(), starts, starts[1:], strict=False)
+        ]
+        sizes = [len(part) for part in parts]
+        numbers = np.concatenate([np.zeros((0, 3), np.int64), *parts])
+        # every seam's own numbers of tiles start with the one, which those beyond follow
+        listed = np.insert(meetings.beyond, meetings.starts[:-1], meetings.tile)
+        own = np.repeat(meetings.starts[:-1] + np.arange(len(parts)), sizes)[:, None]
+        return numbers & (1 << NUMBER_BITS) - 1 | listed[own + (numbers >> NUMBER_BITS)] << NUMBER_BITS
 
     def statistics(self) -> Statistics:
         """Tiles as patches; triangles between tiles, and those that fill up clusters, count."""
@@ -115,15 +144,15 @@ class View(AlgorithmView):
     def _seen(self, frame: Frame) -> TileFrame:
         return TileFrame(self._algorithm.maker, frame, self._algorithm.settings)
 
-    def _described(self, frame: Frame, tiles: list[Tile]) -> NDArray[Any]:
+    def _described(self, frame: Frame, chosen: Leaves, places: Ints) -> NDArray[Any]:
         maker, pages = self._algorithm.maker, self._algorithm.store
-        rows = np.zeros(len(tiles), _TILE)
-        level, x, y = np.array([tile.key for tile in tiles], np.int64).reshape(-1, 3).T
+        level, x, y = chosen
+        rows = np.zeros(x.size, _TILE)
         bits, k = frame.subtexel_bits, maker.k
         # from the first sample's centre, half a texel from the corner
         rows["corner"] = (np.stack([x, y], axis=1) << (level + bits)[:, None]) + (1 << bits - 1)
         rows["quad"], rows["side"] = 1 << level + bits - k, maker.n
-        rows["page"] = np.array([pages.resident[tile.key] for tile in tiles], np.int64) * (pages.page_bytes // 4)
+        rows["page"] = self._residents.slots[places] * (pages.page_bytes // 4)
         rows["id"] = (level << 26 ^ y << 13 ^ x) & 0xFFFFFFFF
         rows["level"], rows["tile_level"] = np.maximum(level - k, 0), level
         return rows
@@ -213,15 +242,13 @@ def _clusters(places: NDArray[np.int64]) -> NDArray[np.uint32]:
     return np.stack([tile, places[tile, 0] + 3 * done // 2, places[tile, 1] - done], axis=1).astype(np.uint32)
 
 
-def _between(
-    one: tuple[Tile, Shape], side: int, others: tuple[tuple[Tile, Shape], ...], number: int, numbers: tuple[int, ...]
-) -> NDArray[np.uint32]:
-    """(m, 3) vertices of the triangles between a tile's side and those of the tiles beyond; all have these numbers."""
+def _between(one: tuple[Tile, Shape], side: int, others: tuple[tuple[Tile, Shape], ...]) -> NDArray[np.int64]:
+    """(m, 3) vertices of the triangles between a tile's side and those of the tiles beyond, which it counts from 1."""
     vertices, places = one[0].border(side, one[1])
     parts = [tile.border(side ^ 1, shape) for tile, shape in others]
-    beyond = np.concatenate([part | i << NUMBER_BITS for (part, _), i in zip(parts, numbers, strict=True)])
+    beyond = np.concatenate([part | i << NUMBER_BITS for i, (part, _) in enumerate(parts, 1)])
     along = np.concatenate([part for _, part in parts])
     # where tiles beyond are out of the picture: no further than to the next vertex
     first, last = np.searchsorted(places, along[0], "right") - 1, np.searchsorted(places, along[-1], "left")
     near = slice(max(int(first), 0), int(last) + 1)
-    return strip((vertices[near] | number << NUMBER_BITS, places[near]), (beyond, along)).astype(np.uint32)
+    return strip((vertices[near], places[near]), (beyond, along))

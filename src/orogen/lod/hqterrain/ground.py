@@ -8,7 +8,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.lod.quadtree import PatchTree
+from orogen.lod.quadtree import PatchTree, Table
 from orogen.streaming.samples import Samples
 
 _log = logging.getLogger("orogen")
@@ -45,11 +45,12 @@ class Ground:
                 self._coarse[place][: rows.size, : cols.size] = heights[np.ix_(rows, cols)]
                 low[place][: rows.size - 1, : cols.size - 1] = _blocks(heights, np.minimum)
                 high[place][: rows.size - 1, : cols.size - 1] = _blocks(heights, np.maximum)
-        self.low, self.high = [low] * (CELL_BITS + 1), [high] * (CELL_BITS + 1)
-        """Per tree level, lowest and highest height (m) of its patches (rows, columns); below 8 samples those of 8."""
+        levels = [np.stack([low, high], axis=-1)] * (CELL_BITS + 1)
         for _ in range(CELL_BITS + 1, tree.level_count):
-            self.low.append(_pairs(self.low[-1], np.minimum))
-            self.high.append(_pairs(self.high[-1], np.maximum))
+            low, high = _pairs(low, np.minimum), _pairs(high, np.maximum)
+            levels.append(np.stack([low, high], axis=-1))
+        self.ranges = Table.of(levels[: tree.level_count], CELL_BITS)
+        """Lowest and highest height (m) of patches; below 8 samples those of 8."""
         _log.info("hqterrain: %d samples read in %.1f s", np.prod(samples.shape), time.monotonic() - start)
 
     def grid(self, level: int, rows: Ints, cols: Ints) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orogen.lod import rtin
-from orogen.lod.hqterrain.ground import CELL_BITS, Ground
+from orogen.lod.hqterrain.ground import Ground
 from orogen.lod.quadtree import PatchTree
 
 Ints = NDArray[np.int64]
@@ -172,12 +172,6 @@ class TileMaker:
         """Forget all tiles but these."""
         for key in [key for key in list(self.tiles) if key not in keys]:
             del self.tiles[key]
-
-    def bounds(self, level: int, x: Ints, y: Ints) -> tuple[Floats, Floats]:
-        """Lowest and highest height (m) of tiles."""
-        shift = max(0, CELL_BITS - level)
-        low, high = (table[level][y >> shift, x >> shift] for table in (self.ground.low, self.ground.high))
-        return low.astype(np.float64), high.astype(np.float64)
 
 
 def continued(heights: Floats, end: float) -> Floats:

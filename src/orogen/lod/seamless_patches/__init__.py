@@ -77,16 +77,15 @@ class View(AlgorithmView):
     def record(self, encoder: Any, timer: FrameTimer, frame: Frame, view: ClipmapView) -> Sequence[Draw]:
         """Choose patches and edges on the CPU; one instanced draw for each mesh that occurs."""
         algorithm, gpu = self._algorithm, self._algorithm.clipmap.gpu
-        pieces, mesh = algorithm.choose(frame, view)
+        pieces, self._counts = algorithm.choose(frame, view)
         # every patch has four strips, but triles only from a resolution of 4 on
-        self._patches = int(np.count_nonzero(mesh >= algorithm.kinds)) // 4
-        self._counts = np.bincount(mesh, minlength=len(algorithm.triangles))
+        self._patches = int(self._counts[algorithm.kinds :].sum()) // 4
         block = np.zeros((), self._block_type)
         block["unit"] = (algorithm.tree.side << frame.subtexel_bits) // algorithm.settings.resolution
         block["starts"][:, 0] = np.cumsum(self._counts) - self._counts
         if pieces.nbytes > self._pieces.size:
             self._grow(2 * len(pieces))
-        gpu.write(self._pieces, pieces[np.argsort(mesh, kind="stable")])
+        gpu.write(self._pieces, pieces)
         gpu.write(self._block, block)
         gpu.write(self._draws, algorithm.arguments(self._counts))
         return [
@@ -144,23 +143,26 @@ class SeamlessPatches(Algorithm):
         return Edges(self.tree, frame, view, max(precision, _LEAST_PRECISION), most)
 
     def choose(self, frame: Frame, view: ClipmapView) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """Pieces of the leaves in the LOD camera's frustum (dtype _PIECE), and the mesh of each."""
+        """Pieces of the leaves in the LOD camera's frustum (dtype _PIECE), mesh by mesh, and how many each mesh has."""
+        meshes = len(self.triangles)
         if not self.clipmap.heights.present:
-            return np.zeros(0, _PIECE), np.zeros(0, np.int64)
+            return np.zeros(0, _PIECE), np.zeros(meshes, np.int64)
         edges = self.edges(frame, view)
-        leaves = edges.leaves()
-        segments = edges.resolutions(leaves)
+        leaves = edges.leaves(restricted=True)
         # place of a resolution among all: 2, 4 ...
-        kind = np.log2(segments).astype(np.int64) - 1
-        pieces = np.zeros((len(kind), 2, 4), _PIECE)
-        pieces["x"], pieces["y"] = np.concatenate(leaves, axis=1)[..., None, None]
-        pieces["level"] = np.repeat(np.arange(len(leaves)), [x.size for x, _ in leaves])[:, None, None]
-        pieces["turn"] = np.arange(4)
+        kind = np.log2(edges.resolutions(leaves)).astype(np.int64) - 1
         # turned by a quarter, the strip at the north-west corner lies between the east and the north trile
-        strips = self.kinds + kind * self.kinds + np.roll(kind, 1, axis=1)
-        mesh = np.stack([kind, strips], axis=1)
-        drawn = self.triangles[mesh] > 0
-        return pieces[drawn], mesh[drawn]
+        strips = self.kinds + kind * self.kinds + kind[:, [3, 0, 1, 2]]
+        mesh = np.stack([kind, strips], axis=1).ravel()
+        drawn = np.flatnonzero(self.triangles[mesh] > 0)
+        mesh = mesh[drawn]
+        # few numbers of few bits are sorted faster
+        drawn = drawn[np.argsort(mesh.astype(np.uint16), kind="stable")]
+        pieces = np.empty(drawn.size, _PIECE)
+        for name, values in leaves._asdict().items():
+            pieces[name] = values[drawn >> 3]
+        pieces["turn"] = drawn & 3
+        return pieces, np.bincount(mesh, minlength=meshes)
 
     def arguments(self, counts: NDArray[np.int64]) -> NDArray[np.uint32]:
         """(meshes, 5) arguments of indexed draws of so many pieces per mesh."""
