@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -164,6 +165,23 @@ def test_a_pyramid_in_use_is_not_cleared(dem: Path, shelf: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32" or os.geteuid() != 0, reason="needs a folder that even root cannot write")
+def test_a_pyramid_that_can_never_fit_is_not_begun(dem: Path, shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = SHAPE[0] * SHAPE[1] * 2 // 3 // 16 - 1
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(2 * free, free, free))
+    for way in ("auto", "wait"):
+        with pytest.raises(OutputError, match=r"GB free in .*got \d+ x \d+ samples.*gdaladdo"):
+            open_pyramid(open_height(dem), cache=shelf, build=way)
+    with open_pyramid(open_height(dem), cache=shelf, build="background") as pyramid:
+        with pytest.raises(OutputError, match="GB free in"):
+            pyramid.wait()
+        assert pyramid.read_estimate(pyramid.estimate_level, slice(0, 4), slice(0, 4)).any()
+    assert not shelf.exists() or not list(shelf.iterdir())
+    open_pyramid(open_height(dem), cache=shelf, build="never").close()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(2 * free, free, free + 1))
+    with open_pyramid(open_height(dem), cache=shelf) as pyramid:
+        assert pyramid.built
+
+
 def test_a_cache_that_cannot_be_written_is_one_clear_error(dem: Path) -> None:
     with pytest.raises(OutputError, match=r"cannot be written there .*OROGEN_CACHE_DIR"):
         open_pyramid(open_height(dem), cache=Path("/proc/orogen"))

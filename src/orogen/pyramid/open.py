@@ -26,6 +26,8 @@ log = logging.getLogger("orogen")
 
 Progress = Callable[[float, str], None]
 Build = Literal["auto", "wait", "background", "never"]
+SPARING = 16
+"""How many times smaller than its samples a pyramid is at best: more is believed only of who asks for it by name."""
 
 
 def open_pyramid(
@@ -77,6 +79,20 @@ def open_pyramid(
     return pyramid
 
 
+def _require_room(source: Source, folder: Path) -> None:
+    """OutputError where a pyramid can never fit beside what is there: filling the disk with it would take days."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    total, _, free = shutil.disk_usage(there)
+    # a third of the samples again in all coarser levels, of two bytes each at least
+    least = source.grid.height * source.grid.width * 2 // 3 // SPARING
+    if total and least > free:
+        raise OutputError(
+            f"{source.name}: expected a pyramid that fits into the {free / 1e9:.3g} GB free in {folder}, got "
+            f"{source.grid.width} x {source.grid.height} samples, {least / 1e9:.3g} GB or more; add overviews "
+            '(gdaladdo), open a part of it, set OROGEN_CACHE_DIR to a larger disk, or give build="never"'
+        )
+
+
 def _build_behind(pyramid: Pyramid, target: Path | None, stop: threading.Event, report: Progress) -> None:
     try:
         _build(pyramid, target, stop, report)
@@ -93,6 +109,7 @@ def _build(pyramid: Pyramid, target: Path | None, stop: threading.Event, report:
     """Build into `target`, or into a temporary folder without one, and use it."""
     source = pyramid.source
     name = Path(source.name).name
+    _require_room(source, target.parent if target else Path(tempfile.gettempdir()))
 
     def progress(fraction: float) -> None:
         pyramid._progress = fraction
