@@ -118,7 +118,7 @@ class Seams:
     chosen: Callable[[str, int], bool] = lambda kind, number: False
     """Whether the call of a kind with this number, from 1, fails."""
     only: str = ""
-    """Function that fails where only one of its kind does."""
+    """Function that fails where only one of its kind does, but for what every frame needs."""
     failed: list[str] = field(default_factory=list)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -142,7 +142,8 @@ class Seams:
         def call(*arguments: Any, **options: Any) -> Any:
             with self.lock:
                 self.counts[kind] += 1
-                fails = self.only in ("", name) and self.chosen(kind, self.counts[kind])
+                spared = self.only and getattr(arguments[1], "label", "") == "sampled quadtree"
+                fails = not spared and self.only in ("", name) and self.chosen(kind, self.counts[kind])
                 if fails:
                     self.failed.append(f"{kind} {name}")
             if fails:
