@@ -100,15 +100,15 @@ def test_tiles_are_chosen_by_their_costs(scene: Scene, changes: dict[str, Any]) 
     assert close <= 0.02 * sum(totals) + 1
 
 
-def test_a_picture_of_coarser_triangles_chooses_as_the_smaller_one_does(scene: Scene) -> None:
-    """`coarseness`: a tile costs what it does in the picture that it is chosen for, whatever is drawn."""
+def test_a_part_of_a_picture_chooses_as_the_picture_does(scene: Scene) -> None:
+    """A tile costs what it does in the whole picture, of which a part has half the pixels a side here."""
     state = scene.algorithm("hybrid", {"grid_size": 4, "pixels_per_quad": 6.0, "cost_triangle": 100.0})
     assert isinstance(state, View)
     both = [0, 0]
     for camera in some_cameras(scene, 3, seed=6):
-        scene.draw(scene.frame(camera, (120, 72)), state)
+        scene.draw(scene.frame(camera, (240, 144)), state)
         expected = chosen(state)
-        scene.draw(scene.frame(camera, (240, 144), coarseness=2.0), state)
+        scene.draw(scene.frame(camera, (120, 72), coarseness=0.5), state)
         assert chosen(state) == expected
         both = [total + len(tiles) for total, tiles in zip(both, expected, strict=True)]
     assert min(both) > 20

@@ -48,7 +48,7 @@ def choice_block(frame: Frame, costs: Costs) -> NDArray[np.void]:
     block = np.zeros((), BLOCK)
     # WGSL's matrices have columns first
     block["view_projection"] = lod_projection(frame).T
-    block["half"] = np.array([np.sign(np.linalg.det(frame.grid.metres)), 1.0]) * frame.lod_size / 2
+    block["half"] = np.array([np.sign(np.linalg.det(frame.grid.metres)), 1.0]) * frame.texel_size / 2
     block["cost_triangle"], block["cost_step"] = costs.triangle, costs.step
     return block
 
