@@ -9,6 +9,14 @@ import pytest
 from orogen.gpu.interrupts import uninterrupted
 
 
+@pytest.fixture(autouse=True)
+def handler():
+    """Python's own, whatever the loops of windows have left."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def test_it_comes_at_the_end_of_the_block():
     done = []
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012
