@@ -37,6 +37,9 @@ def test_sizes_in_a_storm_and_windows_that_are_hidden(tmp_path):
         window.configure(width=800, height=700)
         display.server.sync()
         user.until("window.canvas.get_physical_size() == (800, 700)")
+        user.until("window.panel.folded")  # in a narrow window the panel begins as a button
+        display.key("p")
+        user.until("not window.panel.folded")
         picture = np.asarray(user.settle())
         assert user.ask("window.error is None")
         # logical pixels are two by two: the panel reaches as far
