@@ -3,41 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.errors import SettingsError
+from orogen.lod.quadtree_kernels import compiled, inner
 
-try:
-    import numba
-except ImportError as error:
-    raise SettingsError('expected the package numba; run: pip install "orogen[compiled]"') from error
-
-F = TypeVar("F", bound=Callable[..., Any])
 F64 = NDArray[np.float64]
 
 
-def _compiled(function: F) -> F:
-    # infinite errors are divided by and into, as numpy does it
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-def _inner(function: F) -> F:
-    # into other compiled functions alone, without counting references: nothing is allocated
-    way = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False, "forceinline": True}
-    return cast(F, cast(Any, numba.njit)(cache=True, nogil=True, error_model="numpy", **way)(function))
-
-
-@_inner
+@inner
 def _share(part: float, whole: float) -> float:
     """part / whole within 0 to 1; 1 where the whole is nothing or less."""
     return min(max(part / whole, 0.0), 1.0) if whole > 0 else 1.0
 
 
-@_inner
+@inner
 def _limit(sides: F64, seam: F64, edge: int, block: int, level: float, allowed: float) -> float:
     """See `Levels._limit`."""
     whole = math.floor(level)
@@ -53,7 +34,7 @@ def _limit(sides: F64, seam: F64, edge: int, block: int, level: float, allowed: 
     return max(min(whole + 1 + after, np.nextafter(whole + 2.0, 0.0)), level)
 
 
-@_compiled
+@compiled
 def levels(own: F64, sides: F64, seam: F64, bound: F64, columns: int, morph: bool) -> F64:
     """(blocks,) see `Levels.at`; `bound`: metres that blocks may be off, in rows of `columns`."""
     count = bound.size
@@ -93,7 +74,7 @@ def levels(own: F64, sides: F64, seam: F64, bound: F64, columns: int, morph: boo
     return level
 
 
-@_compiled
+@compiled
 def edges(level: F64, columns: int) -> F64:
     """(4, blocks) see `Levels.edges`."""
     count = level.size
