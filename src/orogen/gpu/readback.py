@@ -87,6 +87,8 @@ class Readback:
         with checked(self._label), uninterrupted():
             # "READ" would submit an empty command buffer first
             self._mapping = self._staging.raw.map_async("READ_NOSYNC")
+            # nobody awaits it, and the event loop of this moment may have ended when the data comes
+            self._mapping._call_soon_threadsafe = None
 
     def ready(self) -> bool:
         """Whether `result` would return without waiting."""
