@@ -5,8 +5,9 @@ import gc
 import numpy as np
 import pytest
 
-from orogen.errors import GpuError
+from orogen.errors import DeviceLostError, GpuError
 from orogen.gpu import device as device_module
+from orogen.gpu import open_gpu
 from orogen.gpu.formats import format_of
 
 COPY = "COPY_SRC|COPY_DST"
@@ -138,6 +139,17 @@ def test_type_that_does_not_fit(gpu):
     buffer = gpu.buffer("b", 20, "COPY_SRC", "test")
     with pytest.raises(GpuError, match="'b': expected a multiple of 8 bytes for uint64, got 20"):
         gpu.read_buffer(buffer, dtype=np.uint64)
+
+
+def test_data_that_was_ready_when_the_device_went(gpu):
+    with open_gpu(str(gpu.info.index)) as own:
+        readback = own.read_buffer(own.buffer("b", np.arange(64), "COPY_SRC", "test"))
+        assert readback._mapping._thread_event.wait(60)
+        own.device.destroy()
+        # here is when the memory goes
+        own.device._poll()
+        with pytest.raises(DeviceLostError):
+            readback.result()
 
 
 def test_more_than_a_slice(gpu):

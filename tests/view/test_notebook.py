@@ -237,7 +237,6 @@ def test_views_of_one_terrain_go_their_own_ways(terrain, kernel):
     played(terrain, play, {})
 
 
-@pytest.mark.nightly  # Mesa's software driver has crashed when its device was destroyed under a picture
 def test_a_device_that_is_lost_with_a_picture_under_way(kernel):
     async def play(view):
         page = Page(view)

@@ -35,6 +35,15 @@ def lost(error: BaseException) -> bool:
     return "Parent device is lost" in str(error)
 
 
+def is_lost(device: wgpu.GPUDevice) -> bool:
+    """Whether a device is gone; asks the driver for something small."""
+    try:
+        device.create_sampler(label="check")
+    except wgpu.GPUError as error:
+        return lost(error)
+    return False
+
+
 def explain(error: Exception) -> str:
     """The part of a driver message that a reader needs."""
     text = str(error)

@@ -109,6 +109,8 @@ class Readback:
                     self._check()
                 with checked(self._label):
                     self._mapping.sync_wait()
+                    # wgpu ends the process where the memory went with the device
+                    self._check()
                     mapped = np.frombuffer(self._staging.raw.read_mapped(copy=False), np.uint8)
                     self._data = self._unpack(mapped)
                     del mapped

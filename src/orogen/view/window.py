@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from orogen.camera import Camera
 from orogen.errors import OutputError
 from orogen.view.controls import Controls, Event, OrbitControls
+from orogen.view.downloads import survive_lost_devices
 from orogen.view.flying import FlyControls, WalkControls
 from orogen.view.session import Session
 
@@ -91,6 +92,7 @@ class Window:
         self._loop: Any = None
         if canvas is None:
             self.canvas, self._loop = _open_canvas(size, title)
+        survive_lost_devices()
         self._context = self.canvas.get_wgpu_context()
         self._with_panel = panel
         self._last_draw: float | None = None
