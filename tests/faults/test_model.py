@@ -37,7 +37,8 @@ from orogen.keys import NodeKey
 from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.open import open_pyramid
 from orogen.streaming import retry
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.settings import HEIGHT_BORDER, ClipmapSettings
 from orogen.streaming.tiles import HeightNode
 

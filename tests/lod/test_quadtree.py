@@ -15,7 +15,7 @@ from orogen.frame import Frame
 from orogen.gpu import Gpu
 from orogen.lod import quadtree
 from orogen.lod.quadtree import Leaves, PatchFrame, PatchTree, neighbours
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 SIDE = 8
 ROWS, COLUMNS = 150, 219

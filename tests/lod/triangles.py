@@ -15,7 +15,8 @@ from orogen.frame import Frame
 from orogen.gpu import Gpu
 from orogen.lod.contract import AlgorithmView, Draw, Patches
 from orogen.raster.rasterizer import FOLDER
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 
 class Unculled(Frame):

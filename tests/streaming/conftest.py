@@ -17,7 +17,8 @@ from orogen.gpu import Gpu, Text
 from orogen.grid import Grid
 from orogen.pyramid.contract import Pyramid
 from orogen.pyramid.open import open_pyramid
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 
 @dataclass

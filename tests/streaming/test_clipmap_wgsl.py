@@ -17,7 +17,8 @@ from orogen.gpu import Gpu
 from orogen.grid import Grid
 from orogen.keys import level_shape
 from orogen.pyramid.contract import Pyramid
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.settings import ClipmapSettings
 
 SHAPE = (900, 1300)

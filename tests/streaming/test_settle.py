@@ -20,7 +20,7 @@ from orogen.gpu import Gpu
 from orogen.grid import Grid
 from orogen.keys import NodeKey
 from orogen.pyramid.contract import Pyramid
-from orogen.streaming import clipmap as module
+from orogen.streaming import clipmap_view as module
 from orogen.streaming.clipmap import Clipmap
 from orogen.streaming.layer import Layer
 from orogen.streaming.settings import ClipmapSettings

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from orogen.grid import Grid
 from orogen.keys import NodeKey, level_count
-from orogen.streaming.clipmap import _origins, _table_bits, build_tables
 from orogen.streaming.requests import LayerGrid
+from orogen.streaming.tables import build_tables, origins_around, table_bits
 
 NO_SLOT = 0xFFFF
 
@@ -93,32 +93,32 @@ def test_every_entry_is_the_best_node_that_is_resident(shape: tuple[int, int], s
     resident = layer(1, shape, share)
     rng = np.random.default_rng(2)
     for load in (0.0, 1.5, 4.0):
-        bits = _table_bits(resident.grid, load)
+        bits = table_bits(resident.grid, load)
         for _ in range(3):
             eye = rng.uniform(-1, 2, 2) * shape[::-1]
-            check(resident, bits, _origins(resident.grid, bits, eye))
+            check(resident, bits, origins_around(resident.grid, bits, eye))
 
 
 def test_entries_stay_right_while_the_camera_moves() -> None:
     resident = layer(3, (7000, 7000), 0.5)
-    bits = _table_bits(resident.grid, 1.0)
+    bits = table_bits(resident.grid, 1.0)
     assert 1 << bits < resident.grid.nodes(0)[0]
     for way in np.linspace(0, 1, 12):
-        check(resident, bits, _origins(resident.grid, bits, np.array([-500 + 8000 * way, 7000 * way**2])))
+        check(resident, bits, origins_around(resident.grid, bits, np.array([-500 + 8000 * way, 7000 * way**2])))
 
 
 @pytest.mark.parametrize("node_size", [512, 1024])
 def test_larger_nodes(node_size: int) -> None:
     resident = layer(4, (5000, 9000), 0.5, node_size)
-    bits = _table_bits(resident.grid, 1.0)
-    check(resident, bits, _origins(resident.grid, bits, np.array([4000.0, 3000.0])))
+    bits = table_bits(resident.grid, 1.0)
+    check(resident, bits, origins_around(resident.grid, bits, np.array([4000.0, 3000.0])))
 
 
 def test_without_a_node_there_is_no_slot() -> None:
     resident = layer(5, (3000, 3000), 0.0)
     resident.current.clear()
     fake: Any = resident
-    table, _ = build_tables(fake, 3, _origins(resident.grid, 3, np.array([0.0, 0.0])))
+    table, _ = build_tables(fake, 3, origins_around(resident.grid, 3, np.array([0.0, 0.0])))
     assert (table == (NO_SLOT | (resident.grid.level_count - 1) << 16)).all()
 
 
@@ -126,7 +126,7 @@ def test_colours_have_no_bounds() -> None:
     resident = layer(6, (3000, 3000), 0.5)
     resident.is_height = False
     fake: Any = resident
-    table, bounds = build_tables(fake, 3, _origins(resident.grid, 3, np.array([0.0, 0.0])))
+    table, bounds = build_tables(fake, 3, origins_around(resident.grid, 3, np.array([0.0, 0.0])))
     assert table.shape == (5, 8, 8)
     assert bounds.size == 0
 
@@ -135,12 +135,12 @@ def test_colours_have_no_bounds() -> None:
 @pytest.mark.parametrize("load", [0.3, 1.0, 5.0, 7.5])
 def test_windows_hold_the_nodes_within_the_load_distance(texel: tuple[float, float], load: float) -> None:
     grid = LayerGrid(Grid(60_000, 50_000, (texel[0], 0, 0, 0, texel[1], 0)), 9, 256)
-    bits = _table_bits(grid, load)
+    bits = table_bits(grid, load)
     rng = np.random.default_rng(7)
     angle = np.linspace(0, 2 * np.pi, 60)
     for _ in range(20):
         eye = rng.uniform(-0.1, 1.1, 2) * [60_000, 50_000]
-        for level, (y0, x0) in enumerate(_origins(grid, bits, eye)):
+        for level, (y0, x0) in enumerate(origins_around(grid, bits, eye)):
             reach = load * 256 * grid.grid.spacing * 2**level
             rim = eye + reach * np.stack([np.cos(angle) / texel[0], np.sin(angle) / -texel[1]], axis=-1)
             rim = np.clip(rim, 0, [59_999, 49_999])
@@ -153,6 +153,6 @@ def test_windows_hold_the_nodes_within_the_load_distance(texel: tuple[float, flo
 
 def test_a_window_is_no_larger_than_the_terrain() -> None:
     grid = LayerGrid(Grid(1500, 700, (1.0, 0, 0, 0, -1.0, 0)), 4, 256)
-    assert _table_bits(grid, 1e6) == 3
-    assert _origins(grid, 3, np.array([1e12, -1e12])) == [(0, 0)] * 4
+    assert table_bits(grid, 1e6) == 3
+    assert origins_around(grid, 3, np.array([1e12, -1e12])) == [(0, 0)] * 4
     assert grid.nodes(0) == (3, 6)

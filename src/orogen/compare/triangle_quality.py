@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from orogen.lod.contract import Draw, Patches
 from orogen.raster.rasterizer import FOLDER as RASTER
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 SHADER = Path(__file__).with_suffix(".wgsl")
 

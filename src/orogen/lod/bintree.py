@@ -22,7 +22,7 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Gpu
 from orogen.lod.contract import AlgorithmView, Draw
 from orogen.lod.wedgies import Wedgies
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 NEAR_BY = 256
 """Triangles that may lie between two changed ones which are sent together."""

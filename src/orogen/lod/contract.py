@@ -17,7 +17,8 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Texture
 from orogen.keys import NodeKey
 from orogen.lod.mesh import Mesh
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 
 @dataclass(frozen=True)

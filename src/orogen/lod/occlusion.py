@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Texture
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

@@ -19,7 +19,7 @@ from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.grid import Grid
 from orogen.streaming.boxes import may_be_seen, nearest_square
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 Ints = NDArray[np.int64]
 F64 = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from orogen.errors import SettingsError
 from orogen.lod.quadtree import Table
-from orogen.streaming.clipmap import ClipmapView, DrawnTables
+from orogen.streaming.clipmap_view import ClipmapView, DrawnTables
 from orogen.streaming.layer import BLOCK_MIPS
 
 try:

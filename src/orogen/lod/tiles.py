@@ -15,7 +15,8 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer, Gpu, Readback, Texture
 from orogen.grid import Grid
 from orogen.lod.occlusion import DepthPyramid, DepthReduction
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

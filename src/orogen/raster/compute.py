@@ -13,7 +13,8 @@ from orogen.gpu import Buffer, FrameTimer, Gpu
 from orogen.lod.contract import Patches
 from orogen.lod.mesh import MESHLET_TRIANGLES, MESHLET_VERTICES
 from orogen.raster.surface import Surface
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

@@ -11,7 +11,8 @@ from orogen.gpu import FrameTimer, Gpu
 from orogen.lod.contract import Draw, Module, Patches, Rays
 from orogen.raster.compute import ComputeRasterizer, can_rasterize
 from orogen.raster.surface import FORMATS, READ_LAYOUT, WRITE_LAYOUT, Surface
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.software import block_copies
 from orogen.values import expected_name
 

@@ -19,7 +19,8 @@ from orogen.lod.bdam.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Statistics
 from orogen.lod.contract import Patches as PatchesDraw
 from orogen.lod.resident import Residents, rows_of
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.pages import PageStore
 
 FOLDER = Path(__file__).parent

@@ -17,7 +17,8 @@ from orogen.keys import NodeKey
 from orogen.lod.contract import Algorithm, AlgorithmView, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.requests import wanted
 
 FOLDER = Path(__file__).parent

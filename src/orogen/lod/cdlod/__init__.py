@@ -19,7 +19,8 @@ from orogen.lod.cdlod.seams import COARSER_BIT
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchTree
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 THINNED_BIT = 20

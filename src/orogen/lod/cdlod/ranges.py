@@ -12,7 +12,7 @@ from orogen.lod.cdlod.ground import Ground
 from orogen.lod.cdlod.seams import Pieces, joined, thin
 from orogen.lod.quadtree import Ints, PatchFrame, kernels
 from orogen.streaming.boxes import nearest_square
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 
 class Ranges(PatchFrame):

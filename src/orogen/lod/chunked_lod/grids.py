@@ -15,7 +15,8 @@ from orogen.lod.chunked_lod.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

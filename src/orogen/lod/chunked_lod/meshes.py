@@ -17,7 +17,8 @@ from orogen.lod.chunked_lod.chunks import CLUSTER, SIDES, ChunkKey, ChunkMaker
 from orogen.lod.chunked_lod.settings import Settings
 from orogen.lod.contract import AlgorithmView, Draw, Module, Patches, Statistics
 from orogen.lod.resident import Residents, number_of, rows_of
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.pages import PageStore
 
 FOLDER = Path(__file__).parent

@@ -17,7 +17,8 @@ from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, 
 from orogen.lod.farcry5.lattice import BLOCK, PATCHES, lattice
 from orogen.lod.mesh import Mesh, grid_triangles
 from orogen.lod.occlusion import DepthPyramid, DepthReduction
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

@@ -17,7 +17,8 @@ from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, 
 from orogen.lod.frostbite.patterns import PATTERNS, QUADS, Bits, index_lists, pattern_of
 from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree, coarser
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

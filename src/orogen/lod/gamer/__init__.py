@@ -18,7 +18,8 @@ from orogen.grid import Grid
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.gamer.patterns import WAYS, Bits, index_lists
 from orogen.lod.mesh import Mesh
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent

@@ -16,7 +16,8 @@ from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.geometry_image_warping.region import nearest, rows_run_along_x, seen_region, sketch_lattice
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

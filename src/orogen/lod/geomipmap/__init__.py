@@ -19,7 +19,8 @@ from orogen.lod.geomipmap.levels import Levels
 from orogen.lod.geomipmap.patterns import LIST_BIT, LISTS, NO_COLUMNS_BIT, NO_ROWS_BIT, index_lists
 from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchFrame, PatchTree
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 MOST_SAMPLES = 1 << 28

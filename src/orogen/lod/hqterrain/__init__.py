@@ -21,7 +21,8 @@ from orogen.lod.hqterrain.settings import Settings
 from orogen.lod.hqterrain.tiles import FINEST, VERTEX, Shape, Tile, TileKey, TileMaker
 from orogen.lod.quadtree import Ints, Leaves, PatchTree
 from orogen.lod.resident import Residents, drawable, number_of, with_ancestors
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.streaming.pages import PageStore
 from orogen.streaming.samples import Samples
 

@@ -17,7 +17,8 @@ from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, 
 from orogen.lod.hybrid.choice import BLOCK, Costs, choice_block
 from orogen.lod.mesh import Mesh, grid_triangles
 from orogen.lod.tiles import TILE, Refinement, TileList, check_tiles
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

@@ -16,7 +16,8 @@ from orogen.gpu import FrameTimer, Readback
 from orogen.grid import Grid
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.lorenz_doellner.patterns import DEPTH_BITS, pattern_pool
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

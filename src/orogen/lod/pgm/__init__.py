@@ -17,7 +17,8 @@ from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.pgm.bound import PRISM_TRIANGLES, Bound, BoundView
 from orogen.lod.pgm.outline import Outline, directions, find_outline
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent

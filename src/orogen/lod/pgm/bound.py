@@ -12,7 +12,8 @@ import numpy as np
 from orogen.frame import Frame
 from orogen.gpu import Buffer, FrameTimer
 from orogen.lod.contract import Module, Patches, Rays
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 PRISM_TRIANGLES = 14

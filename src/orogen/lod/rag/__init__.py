@@ -16,7 +16,8 @@ from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, 
 from orogen.lod.rag.budget import Pace, pass_name
 from orogen.lod.rag.deciding import BLOCK, Coarse, block, deciding_frame
 from orogen.lod.rag.settings import Settings
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

@@ -10,7 +10,7 @@ from typing import Any
 from orogen.frame import Frame
 from orogen.gpu import FrameTimer
 from orogen.lod.contract import Algorithm, AlgorithmView, Draw, Module, Rays, Statistics
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 _RAY = np.dtype([("origin", "f4", 3), ("start", "f4"), ("direction", "f4", 3), ("end", "f4")])
 _HIT = np.dtype([("t", "f4"), ("height", "f4"), ("level", "u4"), ("padding", "u4")])

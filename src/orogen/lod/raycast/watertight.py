@@ -9,7 +9,7 @@ from orogen.errors import SettingsError
 from orogen.frame import Frame
 from orogen.keys import NODE_SIZE
 from orogen.lod.raycast.probe import Probe
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 _BATCH = 1 << 18
 

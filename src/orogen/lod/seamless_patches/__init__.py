@@ -18,7 +18,8 @@ from orogen.lod.mesh import Mesh
 from orogen.lod.quadtree import PatchTree
 from orogen.lod.seamless_patches.edges import Edges
 from orogen.lod.seamless_patches.meshes import Bits, index_lists, resolutions
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 

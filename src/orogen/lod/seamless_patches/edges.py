@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orogen.frame import Frame
 from orogen.lod.quadtree import F64, Ints, Leaves, Level, PatchFrame, PatchTree, coarser, kernels
 from orogen.streaming.boxes import nearest_square
-from orogen.streaming.clipmap import ClipmapView
+from orogen.streaming.clipmap_view import ClipmapView
 
 _SIDES = np.array([[0, 1, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])
 """North, east, south and west side of a patch: way, and columns and rows from the patch."""

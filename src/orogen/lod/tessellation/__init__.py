@@ -16,7 +16,8 @@ from orogen.frame import Frame
 from orogen.gpu import FrameTimer, Readback
 from orogen.grid import Grid
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
-from orogen.streaming.clipmap import SEARCH, Clipmap, ClipmapView
+from orogen.streaming.clipmap import SEARCH, Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 from orogen.values import expected_name
 
 FOLDER = Path(__file__).parent

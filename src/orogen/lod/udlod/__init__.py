@@ -13,7 +13,8 @@ from orogen.gpu import FrameTimer, Texture
 from orogen.lod.contract import Algorithm, AlgorithmView, Detail, Draw, Module, Patches, Statistics
 from orogen.lod.mesh import Mesh, grid_triangles
 from orogen.lod.tiles import DRAWS, Refinement, TileList, check_tiles, draws_in_compute
-from orogen.streaming.clipmap import Clipmap, ClipmapView
+from orogen.streaming.clipmap import Clipmap
+from orogen.streaming.clipmap_view import ClipmapView
 
 FOLDER = Path(__file__).parent
 
