@@ -201,7 +201,7 @@ def test_ready_comes_without_asking_for_the_result(gpu):
     import time
 
     readback = gpu.read_buffer(gpu.buffer("b", 1024, "COPY_SRC", "test"))
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while not readback.ready():
         assert time.monotonic() < deadline
         time.sleep(0.001)

@@ -185,9 +185,10 @@ def test_what_failed_is_tried_again_ever_more_rarely(loader_of: Make, monkeypatc
     loader.want([1, 2])
     assert drained(loader) == {2: 2}
     assert len(times) == 2, "a passing fault is waited for, a lasting one is not"
-    assert 0 < loader.retry_in < 0.2
+    assert loader.retry_in is not None
+    assert loader.retry_in < 0.2
     loader.want([1, 2, 3])
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     found: dict[int, int] = {}
     while 1 not in found:
         assert time.monotonic() < deadline

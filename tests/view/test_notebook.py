@@ -144,7 +144,7 @@ class Page:
     async def frames(self, count, confirm=True):
         """Wait for so many pictures."""
         end = len(self.sent) + count
-        for _ in range(400):
+        for _ in range(2000):
             await asyncio.sleep(0.02)
             if confirm:
                 self.confirm()
@@ -261,7 +261,7 @@ def test_a_view_that_ends_says_so_above_its_picture(kernel, caplog):
         await page.frames(1)
         terrain.close()
         page.tell("pointer_down", x=80, y=60, button=1, buttons=[1])
-        for _ in range(400):
+        for _ in range(2000):
             await asyncio.sleep(0.02)
             page.confirm()
             page.tell("pointer_move", x=80, y=60, button=0, buttons=[1])

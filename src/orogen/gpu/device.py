@@ -75,6 +75,7 @@ class Gpu:
         self._lock = threading.RLock()
         self._driver = open_driver(self.device)
         self._write_buffer = self._driver.write if self._driver else self.device.queue.write_buffer
+        self._check = self._driver.check if self._driver else self.device.create_sampler
         self._fence = self.buffer("fence", 4, "COPY_SRC", "readback")
 
     def __enter__(self) -> Gpu:
@@ -96,8 +97,9 @@ class Gpu:
 
     def check(self) -> None:
         """Raise DeviceLostError where the device is gone; what was made on it is of no use then."""
-        with checked(f"{self.info}"):
-            self.device.create_sampler(label="check")
+        with checked(str(self.info)):
+            # every frame of a window asks
+            self._check()
 
     # -- memory ------------------------------------------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ _FUNCTIONS = {
     "CommandBuffer": "Release",
     "Device": "CreateCommandEncoder",
     "Queue": "Submit WriteBuffer",
+    "Sampler": "Release",
 }
 # as in webgpu.h
 _LOADS = {"load": 1, "clear": 2}
@@ -70,12 +71,19 @@ class Driver:
         for kind in ("Compute", "Render"):
             begin = getattr(self.functions["CommandEncoder"], f"Begin{kind}Pass")
             self.functions[f"{kind}PassEncoder"].Begin = begin
+        self._plain_sampler = self.ffi.new("WGPUSamplerDescriptor *", {"maxAnisotropy": 1, "lodMaxClamp": 32.0})
         # what does not work fails here, not in a frame
+        self.check()
         self.compute_pass("", (self.ffi.NULL, 0, 1))
         none = self.ffi.NULL
         self.render_pass("", ((none, "load", "store", (0, 0, 0, 0)),), (none, "load", "store", 0.0), None)
         self.submit("", lambda encoder: None)
         self._kept.clear()
+
+    def check(self) -> None:
+        """Raise wgpu's error where the device is gone."""
+        made = self._checked.wgpuDeviceCreateSampler(self._device, self._plain_sampler)
+        self.functions["Sampler"].Release(made)
 
     def write(self, buffer: wgpu.GPUBuffer, offset: int, data: Any) -> None:
         """Write contiguous memory, a multiple of 4 bytes, into a buffer at an offset, within its size."""
