@@ -19,7 +19,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from oracle import chromium, lab  # noqa: E402
+from oracle import chromium, lab, pages  # noqa: E402
 from oracle.desktop import Desktop, Display  # noqa: E402
 
 SIZE = (1280, 720)
@@ -88,11 +88,10 @@ def browser_picture(data, folder):
                 browser.open(server.address)
                 chromium.until(lambda: browser.run("document.documentElement?.dataset.shown"), 60)
                 browser.mouse("mouseMoved", 900, 500)
-                before = b""
-                while (now := browser.picture()) != before:
-                    before = now
-                    time.sleep(5)
-                keep(Image.open(io.BytesIO(now)), "serve-browser.jpg")
+                time.sleep(2)  # until the server has heard of it
+                chromium.until(lambda: all(pages.at_rest(server, client) for client in server._clients), 300)
+                time.sleep(2)
+                keep(Image.open(io.BytesIO(browser.picture())), "serve-browser.jpg")
         finally:
             server.stop()
             drawing.join()

@@ -16,6 +16,13 @@ def tone(color):
     return np.where(peak <= 0.75, color, bent)
 
 
+def stepped(encoded):
+    """What lies between two of 255 steps is moved by up to half a step, by the pixel's place (Roberts 2018, R2)."""
+    rows, columns = np.indices(encoded.shape[:2])
+    place = (columns * 3242174889 + rows * 2447445414) % 2**32
+    return encoded * 255 + 0.98 * (place / 2**32 - 0.5)[..., None]
+
+
 @pytest.fixture
 def filled(studio):
     """Samples that hold random light, premultiplied by cover, of `count` samples."""
@@ -39,7 +46,7 @@ def test_tone_exposure_and_encoding(studio, filled, lit, exposure):
     samples, light = filled(3, full=True)
     got = studio.resolve(samples, Style(lit=lit, exposure=exposure))
     color = tone(light[..., :3] * exposure) if lit else light[..., :3]
-    np.testing.assert_allclose(got[..., :3], srgb_encode(color) * 255, atol=0.51)
+    np.testing.assert_allclose(got[..., :3], stepped(srgb_encode(color)), atol=0.51)
     np.testing.assert_array_equal(got[..., 3], 255)
 
 
@@ -61,8 +68,8 @@ def test_open_background_is_transparent_and_colours_are_not_darkened_by_it(studi
     alpha = light[..., 3]
     np.testing.assert_allclose(got[..., 3], alpha * 255, atol=0.51)
     seen = alpha > 0
-    expected = srgb_encode(tone(light[seen][:, :3] / alpha[seen][:, None])) * 255
-    np.testing.assert_allclose(got[seen][:, :3], expected, atol=0.51)
+    expected = stepped(srgb_encode(tone(light[..., :3] / np.maximum(alpha, 1e-6)[..., None])))
+    np.testing.assert_allclose(got[seen][:, :3], expected[seen], atol=0.51)
 
 
 def test_background_colour_is_exact_and_blends_in_linear_light(studio, filled):
@@ -70,7 +77,7 @@ def test_background_colour_is_exact_and_blends_in_linear_light(studio, filled):
     got = studio.resolve(samples, Style(background="#ff8040", exposure=3.0))
     alpha = light[..., 3:]
     ground = tone(3 * light[..., :3] / np.maximum(alpha, 1e-6))
-    expected = srgb_encode(ground * alpha + np.array(parse_hex("#ff8040")) * (1 - alpha)) * 255
+    expected = stepped(srgb_encode(ground * alpha + np.array(parse_hex("#ff8040")) * (1 - alpha)))
     np.testing.assert_allclose(got[..., :3], expected, atol=0.51)
     np.testing.assert_array_equal(got[..., 3], 255)
     empty = light[..., 3] == 0
@@ -86,10 +93,29 @@ def test_tone_curve_keeps_order_and_hue(studio):
     studio.gpu.write(samples.light, light)
     got = studio.resolve(samples, Style())
     red = got[..., 0].ravel().astype(int)
-    assert np.all(np.diff(red) >= 0)
+    assert np.all(np.diff(red) >= -1)  # of two neighbouring steps either may come first
+    assert np.all(np.diff(got[..., 0].mean(axis=1)) > -0.2)
     linear = srgb_decode(got[..., :3] / 255)
     bright = got[..., 0] > 100
     np.testing.assert_allclose(linear[bright][:, 1] / linear[bright][:, 0], 0.5, atol=0.02)
+
+
+@pytest.mark.parametrize("form", ["rgba8unorm", "rgba8unorm-srgb"])
+def test_a_clear_sky_has_no_bands_and_colours_on_a_step_stay(studio, form):
+    """Light that grows by two steps of colour over the picture: the mean of every few pixels follows it."""
+    size = 120, 40
+    samples = studio.shading.samples(size)
+    samples.count = 1
+    step = np.linspace(150, 152, size[0]) * np.ones((size[1], 1))
+    step[:8] = 151
+    light = np.ones((size[1], size[0], 4), np.float32)
+    light[..., :3] = srgb_decode(step / 255)[..., None]
+    studio.gpu.write(samples.light, light)
+    got = studio.resolve(samples, Style(lit=False), form)[..., 0].astype(float)
+    # drivers that encode by themselves have small errors
+    np.testing.assert_allclose(got[:8], 151, atol=1 if form.endswith("srgb") else 0)
+    means = (got - step)[8:].reshape(4, 8, 15, 8).mean(axis=(1, 3))
+    assert np.abs(means).max() < 0.15  # rounded to the nearest step some are off by 0.43
 
 
 def test_the_same_light_gives_the_same_bytes(studio, filled):

@@ -165,6 +165,7 @@ def test_fields_of_the_panel_do_what_they_say(user):
     assert user.ask("session.style.sun") == [azimuth, elevation]
     section(user, "Algorithm")
     user.click("algorithm")
+    user.settle()  # the list is open, however busy the machine is
     x, y = user.place("algorithm")
     user.click((x, y + 46))  # the second of the list
     name = user.ask("session.algorithm")

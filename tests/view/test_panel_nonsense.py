@@ -93,6 +93,13 @@ def test_no_text_in_any_field_stops_the_view(panel, fields, hands):
     assert np.asarray(hands.draw()).std() > 5
 
 
+def test_a_field_that_is_emptied_says_what_belongs_there(panel, fields, hands):
+    for name, put in fields["text"].items():
+        if name != "bookmark":  # names it by itself
+            assert not panel.widgets.attempt(name, lambda put=put: put("  ")), name
+            assert "got nothing" in panel.widgets.problems[name], name
+
+
 def test_no_number_in_any_slider_stops_the_view(panel, fields, hands):
     """A slider takes any number that is typed into it."""
     assert len(fields["slider"]) >= 8

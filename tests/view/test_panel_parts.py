@@ -63,7 +63,8 @@ def test_every_algorithm_has_a_form_whose_defaults_are_accepted():
 
 def test_typed_values():
     assert changed(Settings, "x", {"share": 0.5}, "size", " 8 ") == {"share": 0.5, "size": "8"}
-    assert changed(Settings, "x", {"share": 0.5}, "share", "") == {}
+    with pytest.raises(SettingsError, match="share: expected a value, got nothing; by default it is"):
+        changed(Settings, "x", {"share": 0.5}, "share", " ")
     for name, text in (("size", "7"), ("size", "many"), ("quick", "perhaps")):
         with pytest.raises(SettingsError):
             changed(Settings, "x", {}, name, text)

@@ -21,7 +21,16 @@ def section(hands, name, closed=("Algorithm", "Look")):
         hands.click(name)
 
 
-def test_a_profile_along_clicked_points(hands):
+def test_a_profile_along_clicked_points(hands, monkeypatch):
+    from imgui_bundle import implot
+
+    limits = []
+
+    def end(ended=implot.end_plot):
+        limits.append(implot.get_plot_limits().y)
+        ended()
+
+    monkeypatch.setattr(implot, "end_plot", end)
     section(hands, "Measure")
     hands.click("click points")
     hands.settle()
@@ -35,6 +44,10 @@ def test_a_profile_along_clicked_points(hands):
     assert profile.height[-1] == pytest.approx(z1, abs=2)
     assert profile.length >= math.hypot(x1 - x0, y1 - y0) * 0.95
     assert profile.height == pytest.approx(hands.window.session.data.height_at(*profile.points.T), nan_ok=True)
+    # the plot cuts nothing off the line, which has a width
+    hands.draw(3)
+    low, high = float(np.nanmin(profile.height)), float(np.nanmax(profile.height))
+    assert limits[-1].min < low - 0.03 * (high - low) < high + 0.03 * (high - low) < limits[-1].max
     # dragging still moves the camera, and measures nothing
     hands.send("pointer_down", x=650, y=480)
     hands.send("pointer_move", x=680, y=480)

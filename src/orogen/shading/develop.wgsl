@@ -1,4 +1,4 @@
-// Summed light to the colour of a picture: mean, exposure, tone curve, background, sRGB.
+// Summed light to the colour of a picture: mean, exposure, tone curve, background; and to sRGB.
 
 struct ResolveBlock {
     background: vec4<f32>,      // linear RGB; alpha 0: leave what nothing covers transparent
@@ -10,7 +10,6 @@ struct ResolveBlock {
 
 const TONES = #{TONES};         // they may: what never does is left out
 const TONED = 1u;               // exposure and tone curve apply
-const ENCODED = 2u;             // the target stores what it is given: encode for sRGB here
 
 const SHOULDER = 0.75;          // brightness from which the curve bends towards 1
 
@@ -27,7 +26,7 @@ fn srgb_encode(linear: vec3<f32>) -> vec3<f32> {
     return select(1.055 * pow(x, vec3<f32>(1.0 / 2.4)) - 0.055, 12.92 * x, x <= vec3<f32>(0.0031308));
 }
 
-// sRGB and alpha; colours are not multiplied by alpha, as picture files want them.
+// Linear RGB and alpha; colours are not multiplied by alpha, as picture files want them.
 fn developed(light: vec4<f32>, resolve: ResolveBlock) -> vec4<f32> {
     let sum = light * resolve.share;
     var color = sum.rgb / max(sum.a, 1e-6);
@@ -35,6 +34,5 @@ fn developed(light: vec4<f32>, resolve: ResolveBlock) -> vec4<f32> {
     if (TONES) { color = select(color, tone(color * resolve.exposure), (resolve.flags & TONED) != 0u); }
     let alpha = mix(sum.a, 1.0, resolve.background.a);
     color = mix(color, resolve.background.rgb, (1.0 - sum.a) * resolve.background.a);
-    color = select(color, srgb_encode(color), (resolve.flags & ENCODED) != 0u);
     return vec4<f32>(color, alpha);
 }

@@ -14,5 +14,6 @@ fn finish(@builtin(global_invocation_id) id: vec3<u32>) {
     if (any(id.xy >= frame.size)) { return; }
     var light = sample_at(id.xy);
     if (!FIRST) { light += accumulated[id.y * frame.size.x + id.x]; }
-    textureStore(picture, id.xy, developed(light, resolve));
+    let color = developed(light, resolve);
+    textureStore(picture, id.xy, vec4<f32>(srgb_encode(color.rgb), color.a));
 }

@@ -32,8 +32,8 @@ _LIT, _SHADOWS, _SKY = 1, 2, 4
 _OVERLAY_FLAGS = {"wireframe": 8, "levels": 16, "nodes": 32, "contours": 64, "error": 128}
 _IMAGE, _RAMP = 256, 512
 _COLOR_FLAGS = {"auto": _IMAGE | _RAMP, "image": _IMAGE, "ramp": _RAMP, "plain": 0}
-# flags of develop.wgsl
-_TONED, _ENCODED = 1, 2
+# flag of develop.wgsl
+_TONED = 1
 
 
 class Layouts(NamedTuple):
@@ -157,7 +157,6 @@ class Shading:
             gpu.layout("resolve", {0: ("FRAGMENT", "uniform"), 1: ("FRAGMENT", "read")}),
         )
         self._shade_pipelines: dict[tuple[int, bool, bool], Any] = {}
-        self._resolve_shader = gpu.shader("resolve", _HERE / "resolve.wgsl", constants={"TONES": True})
         self._resolve_pipelines: dict[str, Any] = {}
 
     def samples(self, size: tuple[int, int]) -> Samples:
@@ -198,7 +197,7 @@ class Shading:
         first = samples.count == 0
         samples.count += 1
         if last:
-            samples.write(samples.resolve, resolve_block(style, samples, encode=True))
+            samples.write(samples.resolve, resolve_block(style, samples))
             group = samples.only_group if first else samples.finish_group
         else:
             group = samples.add_group
@@ -228,14 +227,18 @@ class Shading:
     def resolve(self, encoder: Any, timer: FrameTimer, samples: Samples, view: Any, style: Style) -> None:
         """Record the mean of the samples so far as a picture, in sRGB, not multiplied by alpha.
 
+        In a texture of 8 bits what lies between two steps is one or the other, pixel by pixel in a fixed pattern.
         `view`: a texture view, a window's for one, of the samples' size and of a format that can be drawn to, which is
         its texture's; those that end in "-srgb" do the encoding themselves.
         """
         form: str = view.texture.format
-        samples.write(samples.resolve, resolve_block(style, samples, encode=not form.endswith("-srgb")))
+        samples.write(samples.resolve, resolve_block(style, samples))
         if form not in self._resolve_pipelines:
+            step = 1 / 255 if "8unorm" in form else 0.0
+            constants = {"TONES": True, "STEP": step, "ENCODES": form.endswith("-srgb")}
+            shader = self._gpu.shader("resolve", _HERE / "resolve.wgsl", constants=constants)
             self._resolve_pipelines[form] = self._gpu.render(
-                "resolve", self._resolve_shader, "cover", "develop", [{"format": form}], [self._layouts.resolve]
+                "resolve", shader, "cover", "develop", [{"format": form}], [self._layouts.resolve]
             )
         attachment = {"view": view, "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 0)}
         resolve = timer.render_pass(encoder, "resolve", color_attachments=[attachment])
@@ -271,13 +274,13 @@ def style_block(style: Style, frame: Frame) -> NDArray[np.float32]:
     return block
 
 
-def resolve_block(style: Style, samples: Samples, *, encode: bool) -> NDArray[np.float32]:
+def resolve_block(style: Style, samples: Samples) -> NDArray[np.float32]:
     """The `ResolveBlock` of develop.wgsl, (8,)."""
     block = np.zeros(_RESOLVE_FLOATS, np.float32)
     if style.background.startswith("#"):
         block[:4] = (*parse_hex(style.background), 1.0)
     block[4:6] = 1 / max(samples.count, 1), style.exposure
-    block[6:8].view(np.uint32)[:] = samples.size[0], (_TONED if style.lit else 0) | (_ENCODED if encode else 0)
+    block[6:8].view(np.uint32)[:] = samples.size[0], _TONED if style.lit else 0
     return block
 
 

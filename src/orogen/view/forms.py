@@ -13,6 +13,7 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
+from orogen.errors import SettingsError
 from orogen.values import from_values
 
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
@@ -67,13 +68,14 @@ def docstrings(kind: type) -> Mapping[str, str]:
 
 
 def changed(kind: type, what: str, values: Mapping[str, Any], name: str, text: str) -> dict[str, Any]:
-    """`values` with one more that a user typed; an empty text takes the default again.
+    """`values` with one more that a user typed.
 
     Raises SettingsError, and changes nothing, where the settings cannot be made of them.
     """
-    result = {key: value for key, value in values.items() if key != name}
-    if text.strip():
-        result[name] = text.strip()
+    if not text.strip():
+        default = next(field.default for field in dataclasses.fields(kind) if field.name == name)
+        raise SettingsError(f"{name}: expected a value, got nothing; by default it is {text_of(default)}")
+    result = {**values, name: text.strip()}
     from_values(kind, what, result)
     return result
 

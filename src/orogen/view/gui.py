@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orogen.view.controls import Event
+from orogen.view.fonts import font_with
 
 if TYPE_CHECKING:
     import wgpu
@@ -23,6 +24,8 @@ SETTLE, MOST_PENDING = 2, 256
 events that wait to be taken: imgui may take presses, releases and letters that come together one in a frame."""
 FONT_SIZE = 15.0
 """Height of text in logical pixels."""
+ROBOTO = "Roboto/Roboto-Regular.ttf"
+"""The panel's font: Latin, Greek and Cyrillic letters."""
 Box = tuple[float, float, float, float]
 
 
@@ -48,12 +51,13 @@ class Gui:
     Two guis may exist at a time: each makes its context the current one before it uses it.
     """
 
-    def __init__(self, device: wgpu.GPUDevice, format: str, build: Callable[[], None]) -> None:
-        """`format`: of the textures that are drawn to."""
+    def __init__(self, device: wgpu.GPUDevice, format: str, build: Callable[[], None], letters: Set[str]) -> None:
+        """`format`: of the textures that are drawn to. `letters`: those that `build` has shown so far."""
         from imgui_bundle import imgui, implot
 
         self._imgui, self._implot = imgui, implot
         self._build = build
+        self._letters = letters
         self._keys = _key_map()
         self._boxes: list[Box] = []
         self._held = False
@@ -70,9 +74,10 @@ class Gui:
         imgui.set_current_context(self._context)
         self._plots = self._implot.create_context()
         self._use(device, format)
-        font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "Roboto" / "Roboto-Regular.ttf"
-        if font.is_file():
-            self._backend.io.fonts.add_font_from_file_ttf(str(font), FONT_SIZE)
+        font, fonts = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / ROBOTO, self._backend.io.fonts
+        self._font = fonts.add_font_from_file_ttf(str(font), FONT_SIZE) if font.is_file() else fonts.add_font_default()
+        self._known: set[str] = set()
+        self._merged: set[tuple[str, int]] = set()
         _style(imgui)
 
     def _use(self, device: wgpu.GPUDevice, format: str) -> None:
@@ -95,6 +100,17 @@ class Gui:
             texture.set_tex_id(0)
             texture.set_status(self._imgui.ImTextureStatus.want_create)
         self._pending = SETTLE
+
+    def _learn(self) -> None:
+        """Take fonts of this machine for letters that were met: between two frames, as imgui wants it."""
+        for letter in sorted(self._letters - self._known):
+            self._known.add(letter)
+            found = None if self._font.is_glyph_in_font(ord(letter)) else font_with(letter)
+            if found and found not in self._merged:
+                self._merged.add(found)
+                merged = self._imgui.ImFontConfig()
+                merged.merge_mode, merged.font_no = True, found[1]
+                self._backend.io.fonts.add_font_from_file_ttf(found[0], FONT_SIZE, merged)
 
     @property
     def settling(self) -> bool:
@@ -152,6 +168,7 @@ class Gui:
         self._pending = max(0, self._pending - 1)
         self._new_boxes: list[Box] = []
         self._whole = False
+        self._learn()
         imgui.new_frame()
         try:
             self._build()
@@ -159,6 +176,8 @@ class Gui:
         finally:
             imgui.render()
         self._boxes = self._new_boxes
+        if self._letters - self._known:
+            self._pending = SETTLE
         encoder = self._device.create_command_encoder(label="gui")
         attachment = {"view": target, "load_op": "load", "store_op": "store"}
         run = encoder.begin_render_pass(color_attachments=[attachment])

@@ -8,6 +8,7 @@ import io
 import logging
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from orogen.errors import DeviceLostError
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("orogen")
 
+NOTEBOOK_JS = Path(__file__).parent / "notebook.js"
 SAMPLES = 4
 """Samples per pixel of the picture."""
 
@@ -48,6 +50,10 @@ def _canvas_class() -> Any:
 
     class Canvas(RenderCanvas):
         """Closes once, lets go of keys with the keyboard, and begins anew on every page that comes to show it."""
+
+        _esm = str(RenderCanvas._esm).replace("export default", "const live =") + NOTEBOOK_JS.read_text("utf-8")
+        kept = type(RenderCanvas._title)("").tag(sync=True)
+        """Address of a picture to show before the first frame; a notebook may keep it with the widget's state."""
 
         def __init__(self, **options: Any) -> None:
             self._closing = False
@@ -157,6 +163,7 @@ class NotebookView:
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None, **options: Any) -> dict[str, Any]:
         bundle = {"text/plain": repr(self), "image/jpeg": self._picture()}
         if self.window:
+            self.window.canvas.kept = f"data:image/jpeg;base64,{bundle['image/jpeg']}"
             # a front end shows the first of these that it can: the widget, where there is a kernel to talk to
             found = self.window.canvas._repr_mimebundle_(include=include, exclude=exclude, **options)
             data = found[0] if isinstance(found, tuple) else found or {}

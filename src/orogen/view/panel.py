@@ -72,7 +72,7 @@ class ViewPanel:
         self._place: Place | None = None
         self._place_of: Any = None
         self._scale: tuple[Any, float] = (None, math.nan)
-        self._gui = Gui(window.session.device, form, self._build)
+        self._gui = Gui(window.session.device, form, self._build, self.widgets.letters)
 
     @property
     def width(self) -> float:
@@ -258,6 +258,7 @@ class ViewPanel:
         left = self.width + MARGIN + 10
         metres = self._metres_per_pixel(frame, camera) * frame.size[0] / max(part[0], 1)
         credit = session.data.attribution or session.data.name.replace("\\", "/").rsplit("/")[-1]
+        self.widgets.see(credit, session.second.label if session.second else "")
         lines = self._place_lines(width - left - 8)
         if math.isfinite(metres) and metres > 0:
             length = overlay.nice_length(metres * overlay.SCALE_WIDTH)

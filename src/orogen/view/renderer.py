@@ -42,6 +42,10 @@ TIMED = 8
 """Every so many frames of a window are timed."""
 STILL_SAMPLES = 16
 """Samples per pixel that a window gathers while nothing moves."""
+FIRST_WAIT = 0.2
+"""Seconds that the first picture of a window waits for ground, at most."""
+BALANCED = {2: (3, 9), 4: (9, 12, 13, 15), 8: (0, 3, 5, 6, 7, 8, 9, 11)}
+"""Which of them come first where so many are added at once: those whose mean is the pixel's centre."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +156,8 @@ class Renderer:
         self._targets: tuple[Surface, Samples] | None = None
         self._drawn = 0
         self._shown: tuple[Any, ...] = ()
+        self._offsets = ordered_jitters(1)  # of the samples of the picture in a window
+        self._patience = FIRST_WAIT
         self._changes = [0]  # how often what is resident has changed, whichever view saw to it: all share this list
         self._frame: Frame | None = None
         self._owns_clipmap = True
@@ -327,7 +333,7 @@ class Renderer:
         self.view.want(frame, patient=True)
         self._want_more(frame)
         uploaded = 0
-        if self.clipmap.pump():
+        if self.clipmap.pump() + self._ground_comes():
             self._changes[0] += 1
         if self.algorithm.pages:
             uploaded = self.algorithm.pages.pump(self.clipmap.settings.upload_budget)
@@ -338,16 +344,26 @@ class Renderer:
         shown = (camera, size, style, scene, frame.height_range, self._changes[0])
         if uploaded or shown != self._shown or self._state.unfinished():
             light.reset()
-            self._shown = shown
+            self._shown, self._offsets = shown, ordered_jitters(samples)
         self._drawn += 1
         for number in range(min(samples, STILL_SAMPLES - light.count)):
             self.timer.enabled = number == 0 and self._drawn % TIMED == 1
-            self._submit_sample(_moved(frame, jitters(STILL_SAMPLES)[light.count]), surface, light, style)
+            self._submit_sample(_moved(frame, self._offsets[light.count]), surface, light, style)
         encoder = self.gpu.encoder("resolve")
         self.shading.resolve(encoder, self.timer, light, view, style)
         self.gpu.submit(encoder)
         pending = self.view.behind or self.clipmap.pending or (self.algorithm.pages and self.algorithm.pages.pending)
         return bool(pending) or light.count < STILL_SAMPLES or self._state.unfinished()
+
+    def _ground_comes(self) -> bool:
+        """Wait a moment, once, for the coarsest ground; whether it comes. A picture of the sky tells nothing."""
+        heights, end = self.clipmap.heights, time.monotonic() + self._patience
+        self._patience = 0.0
+        came = False
+        while heights.pending and not heights.present and (left := end - time.monotonic()) > 0:
+            heights.wait(left)
+            came = self.clipmap.pump() > 0 or came
+        return came
 
     def pick(self, column: int, row: int) -> tuple[float, float, float] | None:
         """x, y in the data's CRS and height (m) of what the last picture shows at a pixel; None for the sky."""
@@ -447,6 +463,13 @@ def jitters(samples: int) -> list[tuple[float, float]]:
     """Offsets of the samples in a pixel, the first in its centre: a low-discrepancy lattice (Roberts 2018, R2)."""
     golden = 1.324717957244746
     return [((0.5 + i / golden) % 1 - 0.5, (0.5 + i / golden**2) % 1 - 0.5) for i in range(samples)]
+
+
+def ordered_jitters(together: int) -> list[tuple[float, float]]:
+    """Offsets of the samples of a window, of which the first `together` make a picture already."""
+    offsets = jitters(max(STILL_SAMPLES, 16))
+    first = BALANCED.get(together, ())
+    return [offsets[i] for i in first] + [offset for i, offset in enumerate(offsets) if i not in first]
 
 
 def _moved(frame: Frame, jitter: tuple[float, float]) -> Frame:

@@ -254,7 +254,8 @@ class Session:
         try:
             moment = parse_time(when) if isinstance(when, str) else when
         except ValueError:
-            raise SettingsError(f"expected a time such as 2026-06-21 09:30 (UTC), got {when!r}") from None
+            got = repr(when) if str(when).strip() else "nothing"
+            raise SettingsError(f"expected a time such as 2026-06-21 09:30 (UTC), got {got}") from None
         grid = self.data.grid
         x, y = (float(v) for v in grid.to_crs(grid.width / 2, grid.height / 2))
         longitude, latitude = self.ruler.to_degrees([x], [y])

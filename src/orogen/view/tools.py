@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,10 +17,13 @@ from orogen.view.overlay import CYAN, YELLOW
 from orogen.view.parts import LARGEST, check_picture_size
 from orogen.view.player import Exporter, VideoSettings
 from orogen.view.video import QUALITIES
-from orogen.view.widgets import number_of, size_of
+from orogen.view.widgets import number_of, path_of, size_of
 
 if TYPE_CHECKING:
     from orogen.view.panel import ViewPanel
+
+PROFILE_ROOM = 0.1
+"""Part of the profile's heights that stays free above and below the line, which has a width."""
 
 
 def draw_measure(panel: ViewPanel) -> None:
@@ -58,6 +60,7 @@ def draw_profile(panel: ViewPanel, note_window: Callable[[], None]) -> None:
     panel.marked = None
     shown, open = imgui.begin("Height profile###profile", True, imgui.WindowFlags_.no_collapse)
     flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+    implot.push_style_var(implot.StyleVar_.fit_padding, (0.0, PROFILE_ROOM))
     if shown and implot.begin_plot("##profile", (-1.0, -1.0), flags):
         unit, name = (1000.0, "km") if profile.length >= 10000 else (1.0, "m")
         fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_highlight
@@ -75,6 +78,7 @@ def draw_profile(panel: ViewPanel, note_window: Callable[[], None]) -> None:
             implot.plot_scatter("here", x, y, mark)
             implot.annotation(x[0], y[0], (1, 1, 1, 1), (8, -8), True, f"{distance_text(at)}: {y[0]:.1f} m")
         implot.end_plot()
+    implot.pop_style_var()
     note_window()
     imgui.end()
     if not open:
@@ -113,11 +117,12 @@ def draw_flight(panel: ViewPanel) -> None:
     if not session.files:
         return
     w.text(
-        "save as", "", lambda text: keys.flight().save(text), "A file for orogen fly and for loading.", "flight.json"
-    )
+        "save as", "", lambda text: keys.flight().save(path_of(text, "flight.json")),
+        "A file for orogen fly and for loading.", "flight.json",
+    )  # fmt: skip
 
     def load(text: str) -> None:
-        flight = Flight.load(text.strip())
+        flight = Flight.load(path_of(text, "flight.json or orbit"))
         ex = session.scene.exaggeration
         over = flight.over(
             session.data.grid, session.data.height_range, exaggeration=ex, height_at=session.data.height_at
@@ -138,7 +143,7 @@ def draw_flight(panel: ViewPanel) -> None:
 
     def export(text: str) -> None:
         panel.exporter = Exporter(
-            session.renderer, panel.path(), os.path.expanduser(text.strip()), panel.video, session.style, session.scene
+            session.renderer, panel.path(), path_of(text, "flight.mp4"), panel.video, session.style, session.scene
         )
 
     def put(**changes: Any) -> None:
@@ -168,8 +173,9 @@ def draw_picture(panel: ViewPanel) -> None:
 
     def write(text: str) -> None:
         camera = panel.window.controls.camera
+        path = path_of(text, "picture.png")
         picture = session.renderer.render(camera, size, session.style, session.scene, samples=16)
-        write_color(os.path.expanduser(text.strip()), picture.color)
+        write_color(path, picture.color)
         panel.message = f"{text.strip()} is written."
 
     w.text("size", f"{size[0]} x {size[1]}", resize, "Width and height in pixels of the picture that is written.")

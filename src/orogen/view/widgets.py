@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,6 +18,8 @@ WIDTH = 0.56
 
 LONGEST = 300
 """Letters of a message, at most."""
+MOST_LETTERS = 5000
+"""Different letters for which fonts are looked for: someone may type all there are."""
 
 Action = Callable[[Any], None]
 
@@ -32,8 +35,16 @@ class Widgets:
         """Middle of every field, where it was drawn last, in logical pixels."""
         self.problems: dict[str, str] = {}
         """What was wrong with the last input, by field."""
+        self.letters: set[str] = set()
+        """Letters beyond ASCII that were shown; fonts are looked for that have them."""
         self._edited: dict[str, str] = {}
         self._typed = ""  # the slider that is a text field now
+
+    def see(self, *texts: str) -> None:
+        """Note which letters texts have."""
+        for text in texts:
+            if not text.isascii() and len(self.letters) < MOST_LETTERS:
+                self.letters.update(letter for letter in text if letter > "\x7f" and letter.isprintable())
 
     def attempt(self, name: str, action: Callable[[], None]) -> bool:
         """Carry out what a field asks for; says whether it worked. A failure is told beside the field."""
@@ -53,6 +64,7 @@ class Widgets:
         shown = self._edited.get(name, value)
         label = f"##{name}" if wide else name
         _, entered = imgui.input_text_with_hint(label, hint, shown)
+        self.see(entered)
         if imgui.is_item_active() or entered != shown:
             self._edited[name] = entered
         if imgui.is_item_deactivated_after_edit():
@@ -136,6 +148,7 @@ class Widgets:
 
     def button(self, name: str, action: Callable[[], None], help: str = "", *, beside: bool = False) -> None:
         """Something to do. `beside`: on the line of what came before."""
+        self.see(name)
         if beside:
             self.imgui.same_line()
         if self.imgui.button(name):
@@ -144,6 +157,7 @@ class Widgets:
 
     def remark(self, text: str) -> None:
         """A line that only tells."""
+        self.see(text)
         imgui = self.imgui
         imgui.push_style_color(imgui.Col_.text, QUIET)
         imgui.text_wrapped(text)
@@ -151,6 +165,7 @@ class Widgets:
 
     def problem(self, text: str) -> None:
         """A message on what went wrong."""
+        self.see(text)
         imgui = self.imgui
         imgui.push_style_color(imgui.Col_.text, PROBLEM)
         imgui.text_wrapped(shortened(text))
@@ -193,11 +208,23 @@ def shortened(text: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
 
 
+def quoted(text: str) -> str:
+    """What a user typed, as messages tell it."""
+    return repr(text) if text.strip() else "nothing"
+
+
+def path_of(text: str, example: str) -> str:
+    """A file's name that a user typed, ~ resolved; SettingsError where there is none."""
+    if not text.strip():
+        raise SettingsError(f"expected a name such as {example}, got nothing")
+    return os.path.expanduser(text.strip())
+
+
 def two_numbers(text: str, example: str = "301500, 2654000") -> tuple[float, float]:
     """Two numbers that a user typed; SettingsError where they are none."""
     parts = text.replace(",", " ").split()
     if len(parts) != 2:
-        raise SettingsError(f"expected two numbers such as {example}, got {text!r}")
+        raise SettingsError(f"expected two numbers such as {example}, got {quoted(text)}")
     return number_of(parts[0]), number_of(parts[1])
 
 
@@ -216,5 +243,5 @@ def number_of(text: str) -> float:
     except ValueError:
         value = float("nan")
     if not math.isfinite(value):
-        raise SettingsError(f"expected a number, got {text!r}")
+        raise SettingsError(f"expected a number, got {quoted(text)}")
     return value
