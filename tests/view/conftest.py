@@ -87,6 +87,10 @@ class Hands:
         self.draw()
         self.send("key_up", key="a")
         self.send("key_up", key="Control")
+        self.overwrite(text)
+
+    def overwrite(self, text):
+        """Replace what is selected in a text field, and press Enter."""
         self.send("key_down", key="Backspace")
         self.draw()
         self.send("key_up", key="Backspace")

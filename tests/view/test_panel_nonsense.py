@@ -143,13 +143,7 @@ def test_nonsense_that_is_typed_into_a_slider_is_told_beside_it(panel, hands, mo
         hands.send("key_down", key="Control")
         hands.click("exaggeration")
         hands.send("key_up", key="Control")
-        hands.send("key_down", key="Backspace")  # all of it is selected
-        hands.draw()
-        hands.send("key_up", key="Backspace")
-        for letter in text:
-            hands.send("char", data=letter)
-        hands.draw()
-        hands.press("Enter")
+        hands.overwrite(text)  # all of it is selected
         hands.settle()
         assert "expected" in panel.widgets.problems["exaggeration"], text
         assert len(panel.widgets.problems) == 1

@@ -17,6 +17,8 @@ from orogen.errors import SettingsError
 from orogen.lod.quadtree import Table
 from orogen.streaming.clipmap_view import ClipmapView, DrawnTables
 from orogen.streaming.layer import BLOCK_MIPS
+from orogen.streaming.tables import NO_SLOT
+from orogen.streaming.tiles import BLOCK
 
 try:
     import numba
@@ -32,9 +34,8 @@ Hits = tuple[Ints, Ints, Ints]
 REACH, ERROR, EDGES, CELLS = 0, 1, 2, 3
 """Why patches are divided: see `Rule`."""
 _MIX = 0x1E3779B97F4A7C15
-_NO_SLOT = 0xFFFF
-_BLOCK_BITS = 4
-"""Blocks of resident nodes whose ranges are kept have 16 texels along a side, at least."""
+_BLOCK_BITS = BLOCK.bit_length() - 1
+"""Texels along a side of the smallest blocks of resident nodes whose ranges are kept are a power of two: this one."""
 
 
 class Tree(NamedTuple):
@@ -205,7 +206,7 @@ def block_range(
         column, row = right if k & 1 else left, below if k & 2 else above
         entry = int(drawn.entries[(row >> bits) & (side - 1), (column >> bits) & (side - 1)])
         slot, level = entry & 0xFFFF, entry >> 16
-        if slot == _NO_SLOT:
+        if slot == NO_SLOT:
             return False, 0.0, 0.0
         inner = (1 << bits) - 1
         row, column = (row >> level & inner) >> _BLOCK_BITS + mip, (column >> level & inner) >> _BLOCK_BITS + mip

@@ -5,31 +5,19 @@ Pages are those of pages.py. The interpreter holds no lock here, so that threads
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orogen.errors import SettingsError
+from orogen.lod.quadtree_kernels import compiled
 
-try:
-    import numba
-except ImportError as error:
-    raise SettingsError('expected the package numba; run: pip install "orogen[compiled]"') from error
-
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Words = NDArray[np.uint32]
 
 _DIAGONAL, _LOCKED = 16, 32
 """Flags of vertices beside those of the raster's four edges."""
 _SHORT = 1e-8
 """Square metres that a collapse costs for each square sample of its length: of equal ones the shortest is the best."""
-
-
-def compiled(function: Kernel) -> Kernel:
-    """Compile on first use, and keep the result on disk."""
-    return cast(Kernel, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
 @compiled
